@@ -29,7 +29,6 @@ MEMORY_ESTIMATES = 8
 TOO_SURE = 2.0  # times the declared sigma that data may claim
 AGREEMENT_PRIOR = 2.0  # windows that agree with their covariances, assumed before any has been seen
 AGREE = 3.0  # sigmas of their difference, within which two values confirm each other
-MIN_SHARPER = 0.5  # of the prior's sigma: rotations less sure add nothing to windows of the same pictures
 ZOOM_REACH = 0.3  # of the focal length's logarithm, over which a zoom table's errors are correlated
 MIN_GAIN = 0.02  # of a variance: a window that says less of a state is no evidence on it
 
@@ -108,6 +107,7 @@ class Alignment:
         self._estimates = [PlatformEstimate(0, np.zeros(len(first)), first)]
         self._spacing_ns = round(spacing_s * 1e9)
         self._squares, self._counts = np.zeros(len(first)), np.zeros(len(first))
+        self._weakened = np.ones(len(first))  # by what disagreement the windows so far count for less
         self._window_end_ns = 0  # of the newest window that updated
         self._heard: tuple[float, float] | None = None  # an offset by rotations, and its sigma, not yet confirmed
         self.unconfirmed: Unconfirmed | None = None
@@ -135,7 +135,8 @@ class Alignment:
         if start_ns < newest.end_ns or (since_ns > 0 and end_ns - since_ns < self._spacing_ns):
             return False
         first, before = self._estimates[0], self.prior_for(start_ns)
-        outside = _outside(before, mean, self.disagreement) | (_outside(first, mean) & ~_outside(first, before.mean))
+        grown = np.maximum(self.disagreement / self._weakened, 1.0)
+        outside = _outside(before, mean, grown) | (_outside(first, mean) & ~_outside(first, before.mean))
         if np.any(outside) and not self._is_confirmed(start_ns, end_ns, mean, covariance, outside):
             return False
         self.unconfirmed = None
@@ -170,6 +171,7 @@ class Alignment:
             self._camera, count = self._camera_file, camera_states.COUNT
             self._estimates = [_with_certain_camera(e, count) for e in self._estimates]
             self._squares, self._counts = np.pad(self._squares, (0, count)), np.pad(self._counts, (0, count))
+            self._weakened = np.pad(self._weakened, (0, count), constant_values=1.0)
             self.unconfirmed = None
         wider = np.zeros(len(self.platform.mean))
         wider[STATES + camera_states.FOCAL_LENGTH] = sigma**2
@@ -223,7 +225,7 @@ class Alignment:
                 )
             return True
         self._heard = None
-        if sigma_s > MIN_SHARPER * own_s:
+        if sigma_s > own_s:
             return False
         if not self.updates:
             self._begin_from(offset_s, sigma_s, platform)
@@ -239,6 +241,7 @@ class Alignment:
         mean[OFFSET] = offset_s
         self._estimates = [PlatformEstimate(0, mean, covariance)] * 2  # a first prior, and one update
         self._squares, self._counts = np.zeros(len(mean)), np.zeros(len(mean))
+        self._weakened = np.ones(len(mean))
         self._window_end_ns, self._heard, self.unconfirmed = 0, None, None
 
     @property
@@ -248,7 +251,7 @@ class Alignment:
         return np.sqrt(np.maximum(mean_square, 1.0))
 
     def _agreed(self, before: PlatformEstimate, mean: Array, covariance: Array) -> tuple[Array, Array]:
-        """The posterior with the window's own information weakened by how far windows disagree. Equation (6.13)."""
+        """The posterior with all windows' information weakened by how far they disagree, this one's too. (6.13)"""
         gained = np.diag(before.covariance - covariance)
         tells = gained > MIN_GAIN * np.diag(before.covariance)
         if before.given is None:
@@ -261,7 +264,12 @@ class Alignment:
         own = Information.gained(mean, covariance, before.mean, before.covariance)
         # Along each direction that the window tells of, by how far windows disagree about what lies in it.
         apart = np.square(own.directions * before.sigma[:, None]).T @ np.square(disagreement)
-        return own.weakened(apart).upon(before.mean, before.covariance)
+        # Which of two is the wrong one nothing says: those before have counted for too much by as much.
+        grown = np.maximum(disagreement / self._weakened, 1.0)
+        most = np.sqrt(np.diag(self._estimates[0].covariance)) / before.sigma
+        grown = np.maximum(np.minimum(grown, most), 1.0)
+        self._weakened = np.maximum(self._weakened, disagreement)
+        return own.weakened(apart).upon(before.mean, grown[:, None] * before.covariance * grown)
 
     def to_json(self) -> str:
         """The newest estimate, for the state directory."""

@@ -79,11 +79,22 @@ class Window:
         self.ground_slope = GroundSlope(level_sigma(config))
         self._request: Request | None = None  # the newest
         self._solved_under: PlatformEstimate | None = None  # the prior that `solved` began with
+        self._solved_before: PlatformEstimate | None = None  # what was known of the platform once it was adopted
 
     @property
     def platform(self) -> PlatformEstimate:
         """What is estimated of the platform by now, no delay surer than declared, (5.15)."""
         return with_delays_held_open(self.config, self.alignment.platform)
+
+    def times_s(self) -> tuple[float, float]:
+        """Time offset and position delay about which the next solve may take their effects as linear.
+
+        What the newest window found itself, which the estimate may only follow minutes later; else the estimate.
+        """
+        mean = self.alignment.platform.mean
+        if self.solved is not None and self._solved_before is self.alignment.platform:
+            mean = self.solved.solution.state.platform
+        return float(mean[OFFSET]), float(mean[DELAY])
 
     def reset(self) -> None:
         """Forget keyframes and structure: nothing links what comes to what was."""
@@ -243,6 +254,7 @@ class Window:
                 self._see_slope(outcome.solved)
                 if not outcome.noise.failing.fails_at(self.keyframes[-1].nav.stamp_ns):
                     self.learn(outcome.solved)  # a sensor that is wrong teaches nothing about mount and clock
+            self._solved_before = self.alignment.platform
         self._see_with_estimate()
         return outcome.status
 

@@ -11,7 +11,6 @@ import numpy as np
 
 from contract.feature_set import Status
 from onboard.estimation.keyframe import Keyframe
-from onboard.estimation.platform_states import DELAY, OFFSET
 from onboard.estimation.sliding_window import Window
 from onboard.geometry.robust import middle
 from onboard.navigation.navigator import Navigation
@@ -36,8 +35,7 @@ def wants_keyframe(tracks: Tracks, width_px: int) -> bool:
 
 def look_up_again(window: Window, navigation: Navigation) -> None:
     """Replace the navigation of the window's keyframes, all of them or, where one has none any more, none."""
-    mean = window.alignment.platform.mean
-    offset_s, delay_s = float(mean[OFFSET]), float(mean[DELAY])
+    offset_s, delay_s = window.times_s()
     if all(
         abs(k.nav_offset_s - offset_s) <= LEAST_OFFSET_S and abs(k.nav_delay_s - delay_s) <= LEAST_DELAY_S
         for k in window.keyframes

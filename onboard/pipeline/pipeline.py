@@ -24,7 +24,7 @@ from contract.geodesy import LocalFrame
 from onboard.config.schema import Config
 from onboard.estimation.keyframe import Observation, seen_with
 from onboard.estimation.moved_optics import MOVED
-from onboard.estimation.platform_states import DELAY, OFFSET
+from onboard.estimation.platform_states import OFFSET
 from onboard.estimation.sliding_window import Window
 from onboard.estimation.solver_executor import Inline, Worker, timed_adjust
 from onboard.events.types import Event, Frame, Zoom
@@ -268,7 +268,7 @@ class Pipeline:
     @property
     def _offset_s(self) -> float:
         """Camera-to-autopilot time offset as it is known now."""
-        return float(self.window.alignment.platform.mean[OFFSET])
+        return self.window.times_s()[0]
 
     def _moment_ns(self, stamp_ns: int) -> int:
         """A picture's moment on the autopilot's clock."""
@@ -277,7 +277,7 @@ class Pipeline:
     @property
     def _delay_s(self) -> float:
         """How much older than its stamp the position is, beyond `gps.latency_s`, as it is known now."""
-        return float(self.window.alignment.platform.mean[DELAY])
+        return self.window.times_s()[1]
 
     def _state_at(self, stamp_ns: int, stamp_sigma_s: float = 0.0) -> NavState | Status:
         return self.navigation.state_at(stamp_ns, self._offset_s, stamp_sigma_s, self._delay_s)
