@@ -207,7 +207,7 @@ class Alignment:
         self._estimates = [PlatformEstimate(begin.end_ns, scale * begin.mean, first, begin.given), *new]
         self._camera_file, self.unconfirmed = camera, None
 
-    def hear(self, end_ns: int, offset_s: float, sigma_s: float) -> bool:
+    def receive_offset(self, end_ns: int, offset_s: float, sigma_s: float) -> bool:
         """Take a time offset that rotations alone have shown, from pictures up to `end_ns`. (10.7)
 
         True if it has had its say, so that what it rests on must not be offered again; False if it says nothing new.

@@ -311,7 +311,7 @@ class Pipeline:
         watch, alignment = self._offset_watch, self.window.alignment
         watch.note(nav.stamp_ns, tracks.ids, tracks.uv_px)
         found = watch.estimate(self.navigation, alignment.platform, self._now_ns)
-        if found is not None and alignment.hear(found.end_ns, found.offset_s, found.sigma_s):
+        if found is not None and alignment.receive_offset(found.end_ns, found.offset_s, found.sigma_s):
             watch.forget()
 
     def _predict(self, nav: NavState) -> Array | None:

@@ -45,7 +45,7 @@ def test_attitude_rate_position_and_distance_are_those_of_the_new_offset() -> No
     window, navigation = pipeline.window, pipeline.navigation
     before = list(window.keyframes)
     assert len(before) >= 4
-    assert window.alignment.hear(before[-1].nav.stamp_ns, -0.1, 0.004)
+    assert window.alignment.receive_offset(before[-1].nav.stamp_ns, -0.1, 0.004)
     look_up_again(window, navigation)
     delay_s = float(window.alignment.platform.mean[4])
     for k, (old, new) in enumerate(zip(before, window.keyframes, strict=True)):
@@ -77,7 +77,7 @@ def test_a_sensor_that_contradicted_because_of_the_clock_fails_no_longer(moved_s
     last = window.keyframes[-1]
     start_ns, end_ns = window.keyframes[0].nav.stamp_ns, last.nav.stamp_ns
     window.noise = replace(window.noise, failing=Failing().after(start_ns, end_ns, {"tilt": 1e4}))
-    assert window.alignment.hear(end_ns, last.nav_offset_s + moved_s, 0.002)
+    assert window.alignment.receive_offset(end_ns, last.nav_offset_s + moved_s, 0.002)
     look_up_again(window, pipeline.navigation)
     assert abs(window.keyframes[-1].nav_offset_s - last.nav_offset_s - moved_s) < 0.004
     assert window.noise.failing.fails_at(end_ns) == (abs(moved_s) < 0.02)
@@ -88,12 +88,12 @@ def test_nothing_is_touched_where_nothing_changed_or_navigation_is_gone() -> Non
     pipeline = flown()
     window = pipeline.window
     now_s = window.keyframes[-1].nav_offset_s
-    window.alignment.hear(window.keyframes[-1].nav.stamp_ns, now_s + 0.002, 0.004)
+    window.alignment.receive_offset(window.keyframes[-1].nav.stamp_ns, now_s + 0.002, 0.004)
     look_up_again(window, pipeline.navigation)
     before = list(window.keyframes)
     look_up_again(window, pipeline.navigation)
     assert alike(window.keyframes, before)
-    window.alignment.hear(before[-1].nav.stamp_ns, -0.2, 0.001)
+    window.alignment.receive_offset(before[-1].nav.stamp_ns, -0.2, 0.001)
     pipeline.navigation._forget()
     look_up_again(window, pipeline.navigation)
     assert alike(window.keyframes, before)
