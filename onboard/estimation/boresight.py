@@ -135,8 +135,7 @@ class Alignment:
         if start_ns < newest.end_ns or (since_ns > 0 and end_ns - since_ns < self._spacing_ns):
             return False
         first, before = self._estimates[0], self.prior_for(start_ns)
-        grown = np.maximum(self.disagreement / self._weakened, 1.0)
-        outside = _outside(before, mean, grown) | (_outside(first, mean) & ~_outside(first, before.mean))
+        outside = _outside(before, mean, self.disagreement) | (_outside(first, mean) & ~_outside(first, before.mean))
         if np.any(outside) and not self._is_confirmed(start_ns, end_ns, mean, covariance, outside):
             return False
         self.unconfirmed = None
@@ -256,7 +255,9 @@ class Alignment:
         tells = gained > MIN_GAIN * np.diag(before.covariance)
         if before.given is None:
             return mean, covariance  # held against what was declared, not against another window: (6.12) weighs that
-        self._squares += np.where(tells, (mean - before.mean) ** 2 / np.where(tells, gained, 1.0), 0.0)
+        # By what the windows themselves claim: those before have been weakened already, where they disagreed.
+        claimed = gained * (1.0 - gained / np.diag(before.covariance) * (1.0 - self._weakened**-2))
+        self._squares += np.where(tells, (mean - before.mean) ** 2 / np.where(tells, claimed, 1.0), 0.0)
         self._counts += tells
         disagreement = self.disagreement
         if np.all(disagreement == 1.0):

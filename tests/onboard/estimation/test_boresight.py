@@ -70,7 +70,7 @@ def test_updates_never_share_data(windows: list[tuple[float, float]]) -> None:
 def test_old_posteriors_are_forgotten_but_the_first_prior_stays() -> None:
     a = alignment()
     for k in range(3 * MEMORY_ESTIMATES):
-        assert a.offer(at(100.0 * k), at(100.0 * k + 10.0), 0.01 * k * MEAN, COVARIANCE)
+        assert a.offer(at(100.0 * k), at(100.0 * k + 10.0), 0.1 * k * MEAN, COVARIANCE)
     assert a.updates == MEMORY_ESTIMATES
     assert np.all(a.prior_for(at(0.0)).mean == 0.0)
 
