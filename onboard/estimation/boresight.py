@@ -266,9 +266,8 @@ class Alignment:
         # Along each direction that the window tells of, by how far windows disagree about what lies in it.
         apart = np.square(own.directions * before.sigma[:, None]).T @ np.square(disagreement)
         # Which of two is the wrong one nothing says: those before have counted for too much by as much.
-        grown = np.maximum(disagreement / self._weakened, 1.0)
-        most = np.sqrt(np.diag(self._estimates[0].covariance)) / before.sigma
-        grown = np.maximum(np.minimum(grown, most), 1.0)
+        most = np.maximum(self._estimates[0].sigma / before.sigma, 1.0)
+        grown = np.clip(disagreement / self._weakened, 1.0, most)
         self._weakened = np.maximum(self._weakened, disagreement)
         return own.weakened(apart).upon(before.mean, grown[:, None] * before.covariance * grown)
 

@@ -79,7 +79,7 @@ class Window:
         self.ground_slope = GroundSlope(level_sigma(config))
         self._request: Request | None = None  # the newest
         self._solved_under: PlatformEstimate | None = None  # the prior that `solved` began with
-        self._solved_before: PlatformEstimate | None = None  # what was known of the platform once it was adopted
+        self._platform_then: PlatformEstimate | None = None  # what was known once `solved` was adopted
 
     @property
     def platform(self) -> PlatformEstimate:
@@ -92,7 +92,7 @@ class Window:
         What the newest window found itself, which the estimate may only follow minutes later; else the estimate.
         """
         mean = self.alignment.platform.mean
-        if self.solved is not None and self._solved_before is self.alignment.platform:
+        if self.solved is not None and self._platform_then is self.alignment.platform:
             mean = self.solved.solution.state.platform
         return float(mean[OFFSET]), float(mean[DELAY])
 
@@ -254,7 +254,7 @@ class Window:
                 self._see_slope(outcome.solved)
                 if not outcome.noise.failing.fails_at(self.keyframes[-1].nav.stamp_ns):
                     self.learn(outcome.solved)  # a sensor that is wrong teaches nothing about mount and clock
-            self._solved_before = self.alignment.platform
+            self._platform_then = self.alignment.platform
         self._see_with_estimate()
         return outcome.status
 

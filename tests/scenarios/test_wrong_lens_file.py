@@ -8,13 +8,11 @@ import numpy as np
 import pytest
 
 from benchmarks.click_score import clicks, scored
-from benchmarks.sampled_flight import SampledFlight, SampledSpec, SampledTracker, replace_section
+from benchmarks.sampled_flight import SampledFlight, SampledSpec, fly, replace_section
 from contract.camera import UNKNOWN_SIGMA, Camera
-from contract.feature_set import FeatureSet
 from onboard.config.schema import parse_config
 from onboard.estimation.camera_states import COUNT
 from onboard.estimation.platform_states import STATES
-from onboard.pipeline.pipeline import Pipeline
 from simulation.paths import PathSpec
 
 K2 = STATES + COUNT - 1
@@ -29,12 +27,7 @@ def test_a_second_coefficient_seven_sigmas_off_refuses_nothing(sensors: str) -> 
     solve = {} if sensors == "all" else {"attitude": "none", "velocity": False}
     config = replace_section(parse_config(""), "solve", **solve)
     flight = SampledFlight(SampledSpec(config, TURNS, 40.0, 2.0, camera=LENS, camera_file=FILE), 2)
-    pipeline = Pipeline(config, FILE, None)
-    pipeline.tracker = SampledTracker(flight)
-    sets: dict[int, FeatureSet] = {}
-    for event in flight.events():
-        sets.update({out.frame: out for out in pipeline.handle(event)})
-    sets.update({out.frame: out for out in pipeline.finish()})
+    sets, pipeline = fly(flight)
     score = scored(flight, clicks(flight, sets, LENS.size_px, 4, 10.0, 2))
     ratio = np.array(score.ratio)
     assert score.answered["all"] > 0.9 * score.asked["all"]
