@@ -211,15 +211,16 @@ WRONG_TRACKS: dict[str, Any] = {
 
 def own() -> dict[str, tuple[Trial, ...]]:
     """By the name of the mechanism."""
-    rotations = (
-        sampled("stamps 0.45 s late, turns", path=TURNS, offset_s=0.45, seconds=ORDINARY_SECONDS),
-        sampled("stamps 0.3 s late, steep turns", path=STEEP, offset_s=0.3, seconds=ORDINARY_SECONDS),
-        recorded("plane_wind_noise", fault="late", seconds=ORDINARY_SECONDS),
-    )
+    late = recorded("plane_wind_noise", fault="late", seconds=ORDINARY_SECONDS)
     # A mount is chosen once, in the first seconds.
     gimbal = replace(sampled("gimbal, photographs", GimbalFlight, rate_hz=0.7, path=SURVEY, seconds=25.0), warm_s=0.0)
     return {
-        "rotation timing": rotations,
+        "clock profile": (
+            sampled("stamps 0.45 s late, turns", path=TURNS, offset_s=0.45, seconds=ORDINARY_SECONDS),
+            recorded("plane_wind_noise", fault="stream late", seconds=ORDINARY_SECONDS),
+            recorded("plane_log", fault="stream late", seconds=ORDINARY_SECONDS),
+            late,
+        ),
         "row waves": (sampled("vibrating rows", VibratingFlight, ROLLING, path=TURNS, readout_s=0.03, seconds=36.0),),
         "camera states": (recorded("plane_clean", fault="wrong lens"),),
         "variance components": (
@@ -227,7 +228,7 @@ def own() -> dict[str, tuple[Trial, ...]]:
         ),
         "re-estimated prior": (recorded("plane_breeze", note="mount claimed to 0.3 deg", mount={"sigma_deg": 0.3}),),
         "disagreeing windows": (
-            rotations[-1],
+            late,
             sampled("mount that flexes by 2 deg", FlexingFlight, path=TURNS),
         ),
         "sensor groups": (recorded("plane_clean", fault="tilt-jump"),),

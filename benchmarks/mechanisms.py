@@ -27,7 +27,7 @@ from onboard.estimation import (
     window_solver,
 )
 from onboard.navigation import position_jumps, position_slip
-from onboard.pipeline import mount_trial, offset_watch
+from onboard.pipeline import mount_trial, pipeline
 
 Replacement = tuple[Any, str, Any]  # module or class, name, neutral value
 
@@ -89,9 +89,9 @@ def _no_zoom(window: Any, weighed: Any) -> tuple[moved_optics.Excess, moved_opti
 
 MECHANISMS = (
     Mechanism(
-        "rotation timing",
-        "no time offset by rotations: windows alone find it",
-        ((offset_watch.OffsetWatch, "estimate", gives(None)),),
+        "clock profile",
+        "no time offset but the one used is compared with, (10.5)",
+        ((pipeline, "profile_of", gives(None)),),
     ),
     Mechanism("row waves", "no vibration is looked for in rolling rows", ((row_waves, "seen", gives(None)),)),
     Mechanism("camera states", "the camera file is exact", ((camera_states, "first_sigmas", gives(())),)),

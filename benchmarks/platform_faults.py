@@ -7,12 +7,16 @@ from typing import Any
 
 from benchmarks.sensor_faults import EVERY_MINUTE
 from contract.camera import UNKNOWN_SIGMA, Camera
+from onboard.config.schema import NETWORK_PRIOR_S
 
 LENS = Camera.from_field_of_view(640, 480, 40.0)
 
 FAULTS: dict[str, dict[str, Any]] = {
     "none": {},
     "late": {"stamps_late_s": 0.2, "mount_error_deg": (2.0, 1.5, 0.0)},
+    # A network stream, of whose delay nothing is known but that it is up to a second: nearly the shortest, the longest.
+    "stream early": {"stamps_late_s": -0.45},
+    "stream late": {"stamps_late_s": 0.45},
     "1hz": {"attitude_hz": 1.0},
     "slope": {"slope_deg": 9.8},
     # The camera file states nothing about its errors: it is right all the same, or 3 % and 0.1 wrong.
@@ -41,8 +45,10 @@ FAULTS: dict[str, dict[str, Any]] = {
 }
 
 
-# What is passed to the daemon about the rows, where that is not a global shutter.
+# What is passed to the daemon about a stream, and about the rows, where that is not a global shutter.
 BELIEVED: dict[str, dict[str, float]] = {
+    "stream early": {"sigma_latency_s": NETWORK_PRIOR_S[1]},
+    "stream late": {"sigma_latency_s": NETWORK_PRIOR_S[1]},
     "rolling": {"readout_s": 0.03},
     "rolling unsure": {"readout_s": 0.03, "sigma_readout_s": 0.02},
     "rolling found": {"sigma_readout_s": 0.02},

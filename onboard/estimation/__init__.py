@@ -4,6 +4,7 @@ published.
 Public:
 
 - `boresight`: `Alignment`, `PlatformEstimate`, `Unconfirmed`
+- `clock_profile`: `ClockProfile`, `clock_profile`, `offsets_about`
 - `error_budget`: the sources' names, `sources`
 - `ground_roughness`: `plane_and_roughness`
 - `keyframe`: `Ids`, `Keyframe`, `Observation`, `observation`, `seen_with`
@@ -12,7 +13,6 @@ Public:
 - `reobservation`: `RelativeVariance`
 - `resection`: `Resection`, `resect`
 - `rolling_shutter`: `Moving`, `Sweep`, `rates_between`
-- `rotation_timing`: `Course`, `Pair`, `Timing`, `timing`, `COARSE_S`, `FEATURES`, `REACH_S`
 - `sensor_groups`: `Failing`, `FORGOTTEN`
 - `sensor_pose`: `SensorPose`
 - `sliding_window`: `Window`

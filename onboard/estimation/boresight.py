@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from contract.camera import Camera
 from contract.errors import InputError
 from onboard.estimation import camera_states
-from onboard.estimation.information import Information, with_own_variance
+from onboard.estimation.information import Information
 from onboard.estimation.platform_states import BORESIGHT, DELAY, HEADING, OFFSET, STATES, VELOCITY_DELAY, WALK
 from onboard.geometry.robust import OUTLIER_SIGMAS
 
@@ -108,8 +108,6 @@ class Alignment:
         self._spacing_ns = round(spacing_s * 1e9)
         self._squares, self._counts = np.zeros(len(first)), np.zeros(len(first))
         self._weakened = np.ones(len(first))  # by what disagreement the windows so far count for less
-        self._window_end_ns = 0  # of the newest window that updated
-        self._heard: tuple[float, float] | None = None  # an offset by rotations, and its sigma, not yet confirmed
         self.unconfirmed: Unconfirmed | None = None
 
     @property
@@ -131,8 +129,8 @@ class Alignment:
 
     def offer(self, start_ns: int, end_ns: int, mean: Array, covariance: Array) -> bool:
         """A solved window's posterior; True if it was taken."""
-        newest, since_ns = self._estimates[-1], self._window_end_ns
-        if start_ns < newest.end_ns or (since_ns > 0 and end_ns - since_ns < self._spacing_ns):
+        newest_ns = self._estimates[-1].end_ns
+        if start_ns < newest_ns or (newest_ns and end_ns - newest_ns < self._spacing_ns):
             return False
         first, before = self._estimates[0], self.prior_for(start_ns)
         outside = _outside(before, mean, self.disagreement) | (_outside(first, mean) & ~_outside(first, before.mean))
@@ -145,14 +143,13 @@ class Alignment:
             end_ns, mean.copy(), covariance.copy(), np.diag(first.covariance) if rests_on is None else rests_on
         )
         self._estimates.append(_with_prior_reweighed(estimate, first))
-        self._window_end_ns = end_ns
         del self._estimates[1:-MEMORY_ESTIMATES]
         return True
 
     def _is_confirmed(
         self, start_ns: int, end_ns: int, mean: Array, covariance: Array, outside: NDArray[np.bool_]
     ) -> bool:
-        """Whether an earlier window that shares no data, and no error of the attitude, was outside likewise. (10.7)"""
+        """Whether an earlier window that shares no data, and no error of the attitude, was outside likewise. (10.6)"""
         held, sigma = self.unconfirmed, np.sqrt(np.diag(covariance))
         if held is not None and (start_ns < held.end_ns or end_ns - held.end_ns < self._spacing_ns):
             return False  # it may repeat the other's error: neither a confirmation nor anything new
@@ -206,42 +203,12 @@ class Alignment:
         self._estimates = [PlatformEstimate(begin.end_ns, scale * begin.mean, first, begin.given), *new]
         self._camera_file, self.unconfirmed = camera, None
 
-    def receive_offset(self, end_ns: int, offset_s: float, sigma_s: float) -> bool:
-        """Take a time offset that rotations alone have shown, from pictures up to `end_ns`. (10.7)
-
-        True if it has had its say, so that what it rests on must not be offered again; False if it says nothing new.
-        """
-        platform, sigma_s = self.platform.aged(end_ns), float(np.sqrt(2.0) * sigma_s)
-        own_s = float(platform.sigma[OFFSET])
-        if abs(offset_s - platform.mean[OFFSET]) > OUTLIER_SIGMAS * np.hypot(own_s, sigma_s):
-            held, self._heard = self._heard, (offset_s, sigma_s)
-            if held is not None and abs(offset_s - held[0]) <= AGREE * np.hypot(sigma_s, held[1]):
-                self._begin_from(offset_s, sigma_s)
-            else:
-                alone = np.arange(len(platform.mean)) == OFFSET
-                self.unconfirmed = Unconfirmed(
-                    end_ns, alone, np.where(alone, offset_s, platform.mean), np.where(alone, sigma_s, platform.sigma)
-                )
-            return True
-        self._heard = None
-        if sigma_s > own_s:
-            return False
-        if not self.updates:
-            self._begin_from(offset_s, sigma_s, platform)
-            return True
-        self._estimates.append(replace(_with_offset(platform, offset_s, sigma_s), end_ns=end_ns))
-        del self._estimates[1:-MEMORY_ESTIMATES]
-        return True
-
-    def _begin_from(self, offset_s: float, sigma_s: float, known: PlatformEstimate | None = None) -> None:
-        """Forget windows' posteriors: they rest on another offset. What rotations say is what windows begin with."""
-        first = self._estimates[0] if known is None else known
-        mean, covariance = first.mean.copy(), with_own_variance(first.covariance, OFFSET, sigma_s**2)
-        mean[OFFSET] = offset_s
-        self._estimates = [PlatformEstimate(0, mean, covariance)] * 2  # a first prior, and one update
-        self._squares, self._counts = np.zeros(len(mean)), np.zeros(len(mean))
-        self._weakened = np.ones(len(mean))
-        self._window_end_ns, self._heard, self.unconfirmed = 0, None, None
+    def forget(self) -> None:
+        """Forget what windows have taught; what was known before them stays."""
+        del self._estimates[1:]
+        self._squares, self._counts = np.zeros_like(self._squares), np.zeros_like(self._counts)
+        self._weakened = np.ones_like(self._weakened)
+        self.unconfirmed = None
 
     @property
     def disagreement(self) -> Array:
@@ -325,7 +292,7 @@ class Alignment:
 
 
 def _outside(prior: PlatformEstimate, mean: Array, factor: Array | float = 1.0) -> NDArray[np.bool_]:
-    """(8,) which states are farther from the prior than its sigma, times a factor, allows for. (10.7)"""
+    """(8,) which states are farther from the prior than its sigma, times a factor, allows for. (10.6)"""
     out: NDArray[np.bool_] = np.abs(mean - prior.mean) > OUTLIER_SIGMAS * factor * prior.sigma
     return out
 
@@ -340,21 +307,13 @@ def _with_certain_camera(platform: PlatformEstimate, count: int) -> PlatformEsti
     return PlatformEstimate(platform.end_ns, np.pad(platform.mean, (0, count)), covariance, given)
 
 
-def _with_offset(platform: PlatformEstimate, offset_s: float, sigma_s: float) -> PlatformEstimate:
-    """An estimate and one measurement of its time offset. (10.7)"""
-    gain = platform.covariance[:, OFFSET] / (platform.covariance[OFFSET, OFFSET] + sigma_s**2)
-    covariance = platform.covariance - np.outer(gain, platform.covariance[OFFSET])
-    mean = platform.mean + gain * (offset_s - platform.mean[OFFSET])
-    return replace(platform, mean=mean, covariance=0.5 * (covariance + covariance.T))
-
-
 def under_another_prior(
     mean: Array, covariance: Array, given: PlatformEstimate, prior: PlatformEstimate
 ) -> tuple[Array, Array]:
     """The posterior that follows from `prior` where the window was solved under `given`.
 
     What the window itself says, the precision C^-1 - given^-1 about its own mean, is put upon the other prior, which
-    may be tighter (no delay held open) or newer (rotations have determined the offset meanwhile).
+    may be tighter: no delay held open.
     """
     gained = Information.gained(mean, covariance, given.mean, given.covariance)
     return gained.upon(prior.mean, prior.covariance)

@@ -18,13 +18,13 @@ from contract.rotations import mount_rotation
 from onboard.config.schema import Config
 from onboard.estimation.boresight import Alignment, PlatformEstimate, under_another_prior
 from onboard.estimation.camera_states import corrected, readout_s, taken, without_readout
+from onboard.estimation.clock_profile import ClockProfile
 from onboard.estimation.factors import RATES
 from onboard.estimation.ground_slope import GroundSlope, SlopePrior, SlopeSeen, seen_alone
 from onboard.estimation.initialisation import follow
 from onboard.estimation.keyframe import Keyframe, Observation, seen_with
 from onboard.estimation.moved_optics import MOVED
 from onboard.estimation.platform_states import DELAY, OFFSET, STATES
-from onboard.estimation.rotation_timing import LEAST_SIGMA_S
 from onboard.estimation.second_start import by_attitude
 from onboard.estimation.sensor_factors import (
     level_sigma,
@@ -46,7 +46,7 @@ from onboard.navigation.position_interpolation import Displacement
 Array = NDArray[np.float64]
 
 GUESS_STEPS = 2  # of a rotation that is only the start of a resection or a solve
-CURVED_SHARE = 0.2  # of a moved time offset: simulated turns at 20 m/s, 0.3 s off, left 0.04 s of it
+LEAST_SIGMA_S = 0.005  # of attitudes' stamps, the same for all: a share of a turn of an autopilot's loop (2.5 to 20 ms)
 MIN_UPDATE = 5  # keyframes of a last, short window that may still update the alignment
 
 
@@ -79,7 +79,7 @@ class Window:
         self.ground_slope = GroundSlope(level_sigma(config))
         self._request: Request | None = None  # the newest
         self._solved_under: PlatformEstimate | None = None  # the prior that `solved` began with
-        self._platform_then: PlatformEstimate | None = None  # what was known once `solved` was adopted
+        self._times_s: tuple[float, float] | None = None  # offset and delay as the newest window found them
 
     @property
     def platform(self) -> PlatformEstimate:
@@ -92,9 +92,7 @@ class Window:
         What the newest window found itself, which the estimate may only follow minutes later; else the estimate.
         """
         mean = self.alignment.platform.mean
-        if self.solved is not None and self._platform_then is self.alignment.platform:
-            mean = self.solved.solution.state.platform
-        return float(mean[OFFSET]), float(mean[DELAY])
+        return (float(mean[OFFSET]), float(mean[DELAY])) if self._times_s is None else self._times_s
 
     def reset(self) -> None:
         """Forget keyframes and structure: nothing links what comes to what was."""
@@ -232,12 +230,14 @@ class Window:
         out: Array = np.mean([k.nav.position_enu_m[:2] for k in self.keyframes], axis=0)
         return out
 
-    def adopt(self, outcome: Outcome) -> Status:
+    def adopt(self, outcome: Outcome, clock: ClockProfile | None = None) -> Status:
         """Take what came of the newest request; OK and a new `solved`, or why there is none (an older one stays).
 
-        No keyframe may have been added since.
+        `clock`: how its orientations fit the autopilot's at other time offsets. No keyframe may have been added since.
         """
         self.keyframes = list(outcome.keyframes)
+        if clock is not None and clock.rejects(self.times_s()[0]):
+            return self._begin_at(clock)
         self.noise = outcome.noise
         self.refusal = outcome.reason
         if outcome.status in MOVED:
@@ -253,10 +253,21 @@ class Window:
             if len(self.keyframes) == self.config.solve.keyframes:
                 self._see_slope(outcome.solved)
                 if not outcome.noise.failing.fails_at(self.keyframes[-1].nav.stamp_ns):
-                    self.learn(outcome.solved)  # a sensor that is wrong teaches nothing about mount and clock
-            self._platform_then = self.alignment.platform
+                    self.learn(outcome.solved, clock)  # a sensor that is wrong teaches nothing about mount and clock
+            platform = outcome.solved.solution.state.platform
+            self._times_s = float(platform[OFFSET]), float(platform[DELAY])
         self._see_with_estimate()
         return outcome.status
+
+    def _begin_at(self, clock: ClockProfile) -> Status:
+        """Begin again at the time offset that fits; all that windows found at another is forgotten."""
+        offset_s, delay_s = self.times_s()
+        self.refusal = f"the autopilot's attitudes fit at a time offset of {clock.best_s:+.2f} s, not {offset_s:+.2f}"
+        self.forget_solutions()
+        if clock.rejects(float(self.alignment.platform.mean[OFFSET])):
+            self.alignment.forget()
+        self._times_s = clock.best_s, delay_s
+        return Status.STARTING
 
     def solve(self) -> Status:
         """Prepare, adjust and adopt at once."""
@@ -275,7 +286,7 @@ class Window:
         slope, sigma2 = seen_alone(prior, shared, covariance[layout.shared, layout.shared])
         self.ground_slope.offer(start_ns, SlopeSeen(end_ns, self._place_enu_m(), slope, sigma2))
 
-    def learn(self, solved: Solved) -> None:
+    def learn(self, solved: Solved, clock: ClockProfile | None = None) -> None:
         """Offer a solved window's boresight and time offset as a posterior update."""
         s, layout = solved.solution, solved.layout
         if self.keyframes[0].nav.R_enu_body is None or any(k.nav.stamp_sigma_s for k in self.keyframes):
@@ -283,17 +294,14 @@ class Window:
         mean, shared = s.state.platform, layout.platform
         start, end = self.keyframes[0].nav.stamp_ns, self.keyframes[-1].nav.stamp_ns
         covariance = solved.covariance_at((start + end) // 2)[shared, shared].copy()
-        # The offset's effect is linearised where the navigation state was interpolated; in a turn its estimate is off
-        # by a share of how far it moved from there. The next window interpolates at this window's estimate.
-        taken_s = np.mean([(k.nav_offset_s, k.nav_delay_s) for k in self.keyframes], axis=0)
-        moved_s = mean[[OFFSET, DELAY]] - taken_s
-        covariance[[OFFSET, DELAY], [OFFSET, DELAY]] += (CURVED_SHARE * moved_s) ** 2
         covariance[OFFSET, OFFSET] += LEAST_SIGMA_S**2
         before = self.alignment.prior_for(start)
         solved_under = with_delays_held_open(self.config, self._solved_under or before)
         if RATES in layout.blocks:
             mean, covariance = without_readout(mean, covariance, solved_under.mean, solved_under.covariance)
         mean, covariance = under_another_prior(mean, covariance, solved_under, before)
+        if clock is not None:
+            covariance[OFFSET, OFFSET] += clock.lacks(covariance[OFFSET, OFFSET], before.covariance[OFFSET, OFFSET])
         self.alignment.offer(start, end, mean, covariance)
 
     def camera_found(self) -> tuple[Camera, Sigma]:

@@ -100,13 +100,6 @@ class Attitudes:
             missed = 0.25 * seconds * (self._mean_rate(right) - self._mean_rate(left - 1))
         return float(2.0 * s * (1.0 - s) * np.linalg.norm(missed))
 
-    def interval_s(self, moment_ns: int) -> float:
-        """Time between the two attitudes about a moment; infinite where it does not lie between two."""
-        bracket = self._series.bracket(moment_ns)
-        if bracket is None or bracket[0] == bracket[1]:
-            return float("inf")
-        return (self._series.stamps_ns[bracket[1]] - self._series.stamps_ns[bracket[0]]) / 1e9
-
     def _mean_rate(self, index: int) -> Array:
         """(3,) rad/s between an attitude and the next."""
         series = self._series

@@ -9,7 +9,7 @@ an autopilot reports before its receiver has a fix is not a position (ArduPilot 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -32,7 +32,7 @@ from onboard.events.types import (
 from onboard.navigation.attitude_interpolation import Attitudes
 from onboard.navigation.gimbal import Gimbal, MountHypothesis
 from onboard.navigation.gps_integrity import GpsIntegrity, Refusal
-from onboard.navigation.limits import LATE_NS, PATIENCE_NS, RECENT_NS
+from onboard.navigation.limits import PATIENCE_NS, RECENT_NS
 from onboard.navigation.position_interpolation import Displacement, Joined, Path, Position, finite
 from onboard.navigation.time_series import Series
 
@@ -48,15 +48,6 @@ class GroundRange:
 
     vector_enu_m: Array
     sigma_m: float
-
-
-@dataclass(frozen=True, eq=False)
-class Motion:
-    """Attitude (3, 3) and velocity (3,), m/s, in ENU axes, and one sigma (rad) of what joining attitudes leaves."""
-
-    R_enu_body: Array
-    velocity_enu_m_s: Array
-    sigma_rad: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,11 +253,20 @@ class Navigation:
     def _uses_gimbal(self) -> bool:
         return self._carrier is not MountHypothesis.MOUNT
 
-    def _attitude_at(self, moment_ns: int, hypothesis: MountHypothesis) -> Array | Status:
+    def _attitude_at(self, moment_ns: int, hypothesis: MountHypothesis | None = None) -> Array | Status:
         """R_ned_body as the mount sees it: with a gimbal, of the body that would carry a fixed camera the same way."""
+        hypothesis = hypothesis or self._carrier
         if hypothesis is MountHypothesis.MOUNT:
             return self._attitudes.at(moment_ns)
         return self.gimbal.at(moment_ns, self._attitudes, hypothesis)
+
+    def attitudes_at(self, moments_ns: Sequence[int], position_enu_m: Array) -> Array | None:
+        """R_enu_body (N, 3, 3), as a state at this place would have it; None where one of them is not known."""
+        if not self._wants_attitude:
+            return None
+        found = [self._attitude_at(moment_ns) for moment_ns in moments_ns]
+        known = [R for R in found if not isinstance(R, Status)]
+        return self._R_frame_ned(position_enu_m) @ np.stack(known) if len(known) == len(found) else None
 
     def _mount_hypotheses_at(self, moment_ns: int, R_frame_ned: Array) -> dict[MountHypothesis, Array]:
         """R_enu_body by every hypothesis, where more than one is possible; the mount first, for where others agree."""
@@ -296,7 +296,7 @@ class Navigation:
             return Status.NO_GPS
         R_enu_body, mount_hypotheses = None, {}
         if self._wants_attitude:
-            R_ned_body, R_frame_ned = self._attitude_at(moment_ns, self._carrier), self._R_frame_ned(position.enu_m)
+            R_ned_body, R_frame_ned = self._attitude_at(moment_ns), self._R_frame_ned(position.enu_m)
             if isinstance(R_ned_body, Status):
                 return R_ned_body
             R_enu_body = R_frame_ned @ R_ned_body
@@ -351,26 +351,6 @@ class Navigation:
         lat, lon, _ = self.frame.to_geodetic(position_enu_m)
         out: Array = self.frame.R_enu_ecef @ rotation_enu_ecef(float(lat), float(lon)).T @ R_ENU_NED
         return out
-
-    def motion_at(self, moment_ns: int) -> Motion | None:
-        """How the vehicle moved, whether or not its position is accepted; None with a gimbal, and wherever attitudes
-        or velocities are not there on both sides, or attitudes come too slowly to follow a roll.
-        """
-        if not self._wants_attitude or self._uses_gimbal or self.frame is None:
-            return None
-        bracket = self._positions.joined(moment_ns, self.config.gps.max_gap_s)
-        # An aircraft rolls in within a second: less than three attitudes of it miss its course.
-        if self._attitudes.interval_s(moment_ns) > LATE_NS / 1e9 or isinstance(bracket, Status):
-            return None
-        R_ned_body = self._attitudes.at(moment_ns)
-        left, right = bracket
-        a, b = self._positions.values[left], self._positions.values[right]
-        if isinstance(R_ned_body, Status) or left == right or a.velocity_enu_m_s is None or b.velocity_enu_m_s is None:
-            return None
-        stamps_ns = self._positions.stamps_ns
-        share = (moment_ns - stamps_ns[left]) / (stamps_ns[right] - stamps_ns[left])
-        velocity = (1 - share) * self._path.velocity(left) + share * self._path.velocity(right)
-        return Motion(self._R_frame_ned(a.enu_m) @ R_ned_body, velocity, self._attitudes.sigma_at(moment_ns))
 
     def body_rate_at(self, stamp_ns: int) -> Array | None:
         """Angular rate (3,), rad/s, axes of `NavState.R_enu_body`: measured, or from attitudes; None if unknown."""

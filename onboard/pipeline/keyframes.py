@@ -10,8 +10,11 @@ from dataclasses import replace
 import numpy as np
 
 from contract.feature_set import Status
+from onboard.estimation.clock_profile import ClockProfile, clock_profile, offsets_about
 from onboard.estimation.keyframe import Keyframe
+from onboard.estimation.platform_states import OFFSET
 from onboard.estimation.sliding_window import Window
+from onboard.estimation.window_request import Outcome
 from onboard.geometry.robust import middle
 from onboard.navigation.navigator import Navigation
 from onboard.vision.klt_tracker import Tracks
@@ -62,3 +65,24 @@ def look_up_again(window: Window, navigation: Navigation) -> None:
     if max(abs(k.nav_offset_s - offset_s) for k in window.keyframes) > TELLING_S:
         window.noise = replace(window.noise, failing=window.noise.failing.explained())
     window.keyframes = found
+
+
+def profile_of(outcome: Outcome, window: Window, navigation: Navigation) -> ClockProfile | None:
+    """How well a solved window's orientations fit the autopilot's attitudes at other time offsets; None if unknown."""
+    found = outcome.solved or outcome.rejected or outcome.weighed
+    if found is None or any(k.nav.stamp_sigma_s for k in outcome.keyframes):
+        return None  # what stamps are off by for a while is no property of the platform
+    offsets_s = offsets_about(window.times_s()[0], float(window.alignment.platform.sigma[OFFSET]))
+    offsets_ns = [round(offset_s * 1e9) for offset_s in offsets_s]
+    attitudes = [
+        navigation.attitudes_at([k.nav.stamp_ns + offset_ns for offset_ns in offsets_ns], k.nav.position_enu_m)
+        for k in outcome.keyframes
+    ]
+    known = [i for i, R in enumerate(attitudes) if R is not None]
+    if not known:
+        return None
+    solve, mount = window.config.solve, window.config.mount
+    own = np.hypot(solve.attitude_sigma_deg, solve.attitude_white_sigma_deg)
+    sigma_rad = np.radians([own, np.hypot(own, mount.sigma_deg), np.hypot(own, solve.heading_sigma_deg)])
+    R_enu_cam = np.stack([R for R in attitudes if R is not None], axis=1) @ window.R_body_cam
+    return clock_profile(found.solution.state.R_cam_enu[known], R_enu_cam, offsets_s, sigma_rad)

@@ -35,10 +35,9 @@ from onboard.georeferencing.surface_sets import over_known_ground
 from onboard.navigation.navigator import Navigation, NavState
 from onboard.pipeline.estimates import found_in_flight
 from onboard.pipeline.frozen_frames import Staleness, Stillness
-from onboard.pipeline.keyframes import look_up_again, wants_keyframe
+from onboard.pipeline.keyframes import look_up_again, profile_of, wants_keyframe
 from onboard.pipeline.mount_selection import MountSelection
 from onboard.pipeline.mount_trial import MountTrials, carry_over
-from onboard.pipeline.offset_watch import OffsetWatch
 from onboard.pipeline.picture_motion import TURN_RAD_S, ground_so_far, predict_motion, seen_at, what_parts
 from onboard.pipeline.placing import Placing
 from onboard.pipeline.record_book import FirstPlacing, Pending, Record, RecordBook
@@ -86,7 +85,6 @@ class Pipeline:
         self._lens_doubt = LensDoubt()
         self._frame_doubt = FrameDoubt()
         self.zoom = ZoomFollowing(camera, config.camera.sigma_zoom)
-        self._offset_watch = OffsetWatch(config, camera, self.window.R_body_cam)
         self._trials = MountTrials(self.mount_selection)
         self.placing, self._first_placing = Placing(), FirstPlacing(config)
         self.tracks: Tracks | None = None  # of the newest picture, for display
@@ -203,7 +201,6 @@ class Pipeline:
             self.window.change_lens(camera, sigma)
             self._lens_doubt.settle()
             self.camera = self.window.camera
-            self._offset_watch.change_lens(self.camera)
             self.mount_selection.change_lens(self.camera)
         return out
 
@@ -292,7 +289,6 @@ class Pipeline:
         tracks = self.tracker.track(frame.image, predicted)
         if not self.tracker.has_keyframe:
             return None
-        self._learn_offset(nav, tracks)
         if predicted is not None and len(tracks) and self._stillness.is_old(tracks, predicted, frame.stamp_ns):
             return Status.BAD_PICTURE
         plane = ground_so_far(self.window, nav)
@@ -303,16 +299,6 @@ class Pipeline:
             if miss > MAX_PREDICTION_MISS * self.camera.focal_px:
                 return self.tracker.nothing()
         return tracks
-
-    def _learn_offset(self, nav: NavState, tracks: Tracks) -> None:
-        """The time offset by rotations alone: used before tracks are compared with a prediction by it."""
-        if nav.R_enu_body is None or nav.stamp_sigma_s or self.mount_selection.is_open(nav):
-            return  # what stamps are off by for a while is no property of the platform
-        watch, alignment = self._offset_watch, self.window.alignment
-        watch.note(nav.stamp_ns, tracks.ids, tracks.uv_px)
-        found = watch.estimate(self.navigation, alignment.platform, self._now_ns)
-        if found is not None and alignment.receive_offset(found.end_ns, found.offset_s, found.sigma_s):
-            watch.forget()
 
     def _predict(self, nav: NavState) -> Array | None:
         """Motion since the newest keyframe, both moments looked up with one and the same time offset."""
@@ -368,7 +354,9 @@ class Pipeline:
         done, record = pending.promise.result(), pending.record
         outcome, trials_s = self._trials.judged(done.outcome, self.window, self._book.records, self.navigation)
         self._statistics.spend("solve", done.processor_s + trials_s)
-        status = self.window.adopt(self._frame_doubt.judged(self._lens_doubt.judged(outcome)))
+        is_open = self.mount_selection.is_open(record.nav)
+        clock = None if is_open else profile_of(outcome, self.window, self.navigation)
+        status = self.window.adopt(self._frame_doubt.judged(self._lens_doubt.judged(outcome)), clock)
         self._statistics.note_window(self.window.refusal)
         self._failures = self._failures + 1 if status is Status.POOR_FIT else 0
         if status in (Status.OK, Status.POOR_FIT, Status.LOW_PARALLAX, *MOVED):

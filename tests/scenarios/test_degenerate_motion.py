@@ -58,7 +58,7 @@ def test_a_hover_is_low_parallax_and_stays_so() -> None:
 
 def test_pictures_after_a_window_without_parallax_have_its_reason(monkeypatch: pytest.MonkeyPatch) -> None:
     """Between keyframes too, however far telemetry says that it has moved."""
-    monkeypatch.setattr(Window, "adopt", lambda window, outcome: Status.LOW_PARALLAX)
+    monkeypatch.setattr(Window, "adopt", lambda window, outcome, clock: Status.LOW_PARALLAX)
     outcome = play(simulated(LEG))
     statuses = [outcome.sets[k].status for k in sorted(outcome.sets)]
     assert Status.STARTING not in statuses[statuses.index(Status.LOW_PARALLAX) :], statuses

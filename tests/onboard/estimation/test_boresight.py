@@ -312,60 +312,8 @@ def test_an_unconfirmed_value_is_never_written() -> None:
     assert told(a, 0.0, 0.05)
     before = a.to_json()
     assert not told(a, 40.0, 0.45)
-    assert not a.receive_offset(at(60.0), 0.049, 0.02), "says nothing new"
-    assert a.receive_offset(at(70.0), -0.3, 0.005)
     assert a.unconfirmed is not None
     assert a.to_json() == before
-
-
-def test_rotations_move_the_offset_and_nothing_that_is_independent_of_it() -> None:
-    a = alignment()
-    assert a.receive_offset(at(10.0), -0.2, 0.006)
-    platform = a.prior_for(at(0.0))  # of the windows that hold the same pictures, too
-    assert platform.mean[OFFSET] == pytest.approx(-0.2)
-    assert platform.sigma[OFFSET] == pytest.approx(np.sqrt(2.0) * 0.006)
-    others = np.arange(STATES) != OFFSET
-    assert np.all(platform.mean[others] == 0.0)
-    assert platform.sigma[others] == pytest.approx(FIRST[others], rel=1e-4)
-    assert a.updates == 1
-    assert not a.receive_offset(at(40.0), -0.195, 0.007), "less sure than what is known: nothing to be gained"
-
-
-def test_rotations_refine_an_offset_that_windows_know_less_well() -> None:
-    a = alignment()
-    assert a.offer(at(0.0), at(10.0), MEAN, COVARIANCE)  # -0.08 +- 0.01
-    assert a.receive_offset(at(30.0), -0.07, 0.002)
-    assert a.platform.mean[OFFSET] == pytest.approx(-0.0708, abs=0.0005)
-    assert a.platform.sigma[OFFSET] < 0.003
-    assert a.prior_for(at(29.0)).mean[OFFSET] == pytest.approx(-0.08)
-    assert a.platform.mean[:3] == pytest.approx(MEAN[:3])
-
-
-def test_rotations_count_as_soon_as_they_are_the_surer() -> None:
-    a = alignment()
-    assert a.offer(at(0.0), at(10.0), MEAN, COVARIANCE)  # -0.08 +- 0.01
-    assert not a.receive_offset(at(20.0), -0.06, 0.009), "0.0127 with what both rest on"
-    assert a.receive_offset(at(30.0), -0.06, 0.006)
-    assert a.platform.mean[OFFSET] == pytest.approx(-0.0685, abs=0.002)
-    assert 0.006 < a.platform.sigma[OFFSET] < 0.0075
-
-
-@pytest.mark.parametrize("agree", [True, False])
-def test_rotations_that_contradict_windows_need_each_other(agree: bool) -> None:
-    """Windows that never fitted a roll learned -0.08; two sets of pictures say -0.2: all begins anew from there."""
-    a = alignment()
-    a.offer(at(0.0), at(10.0), MEAN, COVARIANCE)
-    assert a.receive_offset(at(30.0), -0.2, 0.005)
-    assert a.platform.mean[OFFSET] == pytest.approx(-0.08)
-    assert a.receive_offset(at(60.0), -0.203 if agree else 0.1, 0.005)
-    if agree:
-        assert a.platform.mean[OFFSET] == pytest.approx(-0.203)
-        assert np.all(a.platform.mean[:3] == 0.0), "the mount was learned at another offset"
-        assert a.unconfirmed is None
-        assert json.loads(a.to_json())["offset_s"] == pytest.approx(-0.203)
-    else:
-        assert a.platform.mean[OFFSET] == pytest.approx(-0.08)
-        assert a.unconfirmed is not None
 
 
 def test_a_window_solved_under_a_looser_prior_says_no_more_than_it_saw() -> None:

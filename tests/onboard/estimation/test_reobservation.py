@@ -19,6 +19,7 @@ from ground.two_sets import difference_covariance
 from onboard.config.schema import Config, parse_config
 from onboard.estimation import sliding_window
 from onboard.estimation.bundle_adjustment import Solution
+from onboard.estimation.clock_profile import ClockProfile
 from onboard.estimation.reobservation import PARAMETERS, Agreement, RelativeVariance, agreement
 from onboard.estimation.sliding_window import Window
 from onboard.estimation.solved_window import Solved
@@ -48,9 +49,9 @@ def watched(monkeypatch: pytest.MonkeyPatch) -> Iterator[Watched]:
     said = Watched([], [], [])
     adopt = Window.adopt
 
-    def watch(self: Window, outcome: Outcome) -> object:
+    def watch(self: Window, outcome: Outcome, clock: ClockProfile | None = None) -> object:
         earlier = self.memory.windows
-        status = adopt(self, outcome)
+        status = adopt(self, outcome, clock)
         if outcome.agreed is not None and outcome.solved is not None:
             said.agreements.append(outcome.agreed)
             start_ns = outcome.solved.keyframes[0].nav.stamp_ns
@@ -151,10 +152,10 @@ def flown_pair() -> tuple[Solved, Solved]:
     solved: list[Solved] = []
     adopt = Window.adopt
 
-    def watch(self: Window, outcome: Outcome) -> object:
+    def watch(self: Window, outcome: Outcome, clock: ClockProfile | None = None) -> object:
         if outcome.solved is not None:
             solved.append(outcome.solved)
-        return adopt(self, outcome)
+        return adopt(self, outcome, clock)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Window, "adopt", watch)

@@ -12,6 +12,7 @@ from contract.feature_set import Status
 from contract.rotations import exp_so3
 from onboard.config.schema import parse_config
 from onboard.estimation import window_solver
+from onboard.estimation.clock_profile import ClockProfile
 from onboard.estimation.reobservation import Agreement
 from onboard.estimation.sliding_window import Window
 from onboard.estimation.solved_window import Solved
@@ -117,9 +118,9 @@ def test_a_wrong_window_in_mid_flight_is_not_published_and_the_flight_goes_on(mo
 
     adopt = Window.adopt
 
-    def watch(self: Window, outcome: Outcome) -> Status:
+    def watch(self: Window, outcome: Outcome, clock: ClockProfile | None = None) -> Status:
         made.append(outcome)
-        return adopt(self, outcome)
+        return adopt(self, outcome, clock)
 
     monkeypatch.setattr(Memory, "compared", lifted)
     monkeypatch.setattr(Window, "adopt", watch)

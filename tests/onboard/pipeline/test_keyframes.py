@@ -8,10 +8,14 @@ import numpy as np
 import pytest
 
 from benchmarks.sampled_flight import SampledFlight, SampledSpec, SampledTracker
+from contract.feature_set import Status
 from onboard.config.schema import parse_config
+from onboard.estimation.clock_profile import ClockProfile
 from onboard.estimation.keyframe import Keyframe
 from onboard.estimation.platform_states import OFFSET
 from onboard.estimation.sensor_groups import Failing
+from onboard.estimation.sliding_window import Window
+from onboard.estimation.window_solver import adjust
 from onboard.events.types import Attitude
 from onboard.navigation.navigator import NavState
 from onboard.pipeline.keyframes import look_up_again
@@ -36,6 +40,11 @@ def flown(attitudes: int = 1, spec: SampledSpec = SPEC, seed: int = 1) -> Pipeli
     return pipeline
 
 
+def find(window: Window, offset_s: float) -> None:
+    """Have the newest window find this time offset."""
+    window._times_s = offset_s, window.times_s()[1]
+
+
 def alike(one: list[Keyframe], other: list[Keyframe]) -> bool:
     return all(a is b for a, b in zip(one, other, strict=True))
 
@@ -45,9 +54,9 @@ def test_attitude_rate_position_and_distance_are_those_of_the_new_offset() -> No
     window, navigation = pipeline.window, pipeline.navigation
     before = list(window.keyframes)
     assert len(before) >= 4
-    assert window.alignment.receive_offset(before[-1].nav.stamp_ns, -0.1, 0.004)
+    find(window, -0.1)
     look_up_again(window, navigation)
-    delay_s = float(window.alignment.platform.mean[4])
+    _, delay_s = window.times_s()
     for k, (old, new) in enumerate(zip(before, window.keyframes, strict=True)):
         nav = navigation.state_at(old.nav.stamp_ns, -0.1, 0.0, delay_s)
         assert isinstance(nav, NavState)
@@ -77,7 +86,7 @@ def test_a_sensor_that_contradicted_because_of_the_clock_fails_no_longer(moved_s
     last = window.keyframes[-1]
     start_ns, end_ns = window.keyframes[0].nav.stamp_ns, last.nav.stamp_ns
     window.noise = replace(window.noise, failing=Failing().after(start_ns, end_ns, {"tilt": 1e4}))
-    assert window.alignment.receive_offset(end_ns, last.nav_offset_s + moved_s, 0.002)
+    find(window, last.nav_offset_s + moved_s)
     look_up_again(window, pipeline.navigation)
     assert abs(window.keyframes[-1].nav_offset_s - last.nav_offset_s - moved_s) < 0.004
     assert window.noise.failing.fails_at(end_ns) == (abs(moved_s) < 0.02)
@@ -88,12 +97,12 @@ def test_nothing_is_touched_where_nothing_changed_or_navigation_is_gone() -> Non
     pipeline = flown()
     window = pipeline.window
     now_s = window.keyframes[-1].nav_offset_s
-    window.alignment.receive_offset(window.keyframes[-1].nav.stamp_ns, now_s + 0.002, 0.004)
+    find(window, now_s + 0.002)
     look_up_again(window, pipeline.navigation)
     before = list(window.keyframes)
     look_up_again(window, pipeline.navigation)
     assert alike(window.keyframes, before)
-    window.alignment.receive_offset(before[-1].nav.stamp_ns, -0.2, 0.001)
+    find(window, now_s - 0.2)
     pipeline.navigation._forget()
     look_up_again(window, pipeline.navigation)
     assert alike(window.keyframes, before)
@@ -116,16 +125,26 @@ def test_stamps_that_are_far_off_are_learned_as_well_as_they_are_stated(offset_s
     assert max(off) < 0.02
 
 
-def test_motion_is_that_of_the_state_where_attitudes_come_often_and_none_where_they_do_not() -> None:
-    pipeline = flown()
-    moment_ns = pipeline.window.keyframes[-1].nav.stamp_ns - 333_000_000
-    state, motion = pipeline.navigation.state_at(moment_ns), pipeline.navigation.motion_at(moment_ns)
-    assert isinstance(state, NavState)
-    assert motion is not None
-    assert state.R_enu_body is not None
-    assert state.velocity_enu_m_s is not None
-    assert np.allclose(motion.R_enu_body, state.R_enu_body, atol=1e-6)
-    assert np.allclose(motion.velocity_enu_m_s, state.velocity_enu_m_s)
-    slow = flown(attitudes=8)  # 2.5 Hz: a roll that begins and ends between two of them is in none
-    assert isinstance(slow.navigation.state_at(moment_ns), NavState)
-    assert slow.navigation.motion_at(moment_ns) is None
+def test_a_window_at_an_offset_that_another_clearly_beats_answers_nothing_and_teaches_nothing() -> None:
+    window = flown(spec=replace(SPEC, path=PathSpec("turns", bank_deg=40.0), seconds=25.0, errors=0.5)).window
+    assert window.solved is not None
+    assert window.alignment.updates
+    outcome = adjust(window.prepare())
+    right_s = window.times_s()[0]
+    assert window.adopt(outcome, ClockProfile(right_s, 0.01, (right_s, right_s))) is Status.OK
+    taught = window.alignment.updates
+    assert window.adopt(outcome, ClockProfile(-0.5, 0.01, (-0.5, -0.45))) is Status.STARTING
+    assert window.solved is None
+    assert window.times_s()[0] == -0.5
+    assert window.refusal.startswith("the autopilot's attitudes fit at a time offset of -0.50 s, not -0.")
+    assert taught and not window.alignment.updates, "the mount was learned at another offset"
+
+
+def test_what_was_learned_stays_where_only_the_newest_window_went_astray() -> None:
+    window = flown(spec=replace(SPEC, path=PathSpec("turns", bank_deg=40.0), seconds=25.0, errors=0.5)).window
+    learned_s = float(window.alignment.platform.mean[OFFSET])
+    outcome = adjust(window.prepare())
+    find(window, learned_s + 0.3)
+    assert window.adopt(outcome, ClockProfile(learned_s, 0.01, (learned_s, learned_s))) is Status.STARTING
+    assert window.alignment.updates
+    assert window.times_s()[0] == learned_s

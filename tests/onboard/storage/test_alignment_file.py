@@ -43,7 +43,6 @@ def test_what_nothing_confirms_never_reaches_the_file(tmp_path: Path) -> None:
     mean[3] = 0.81
     covariance = np.diag([1e-5] * 3 + [0.12**2, 1e-3, 1e-3] + [1e-5] * 2)
     assert not alignment.offer(1, 10_000_000_000, mean, covariance)
-    alignment.receive_offset(20_000_000_000, 0.7, 0.005)
     assert alignment.unconfirmed is not None
     state.keep(alignment)
     assert list(tmp_path.iterdir()) == []

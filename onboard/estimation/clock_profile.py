@@ -1,0 +1,91 @@
+"""How well a window's orientations fit the autopilot's attitudes at other time offsets than the one it was solved at.
+
+Relative to each other the orientations of a window's pictures follow from the pictures almost alone. Over 0.3 s of a
+roll the autopilot's attitude turns by 12 degrees and not evenly, and a copter's wobble changes its sign: (5.7)'s
+derivative, taken at the wrong offset, leads to a wrong minimum, or claims what is not there. The profile over whole
+offsets needs no derivative. It is no estimate: it decides where the next solve begins, and bounds what a window may
+teach. Equations (10.3) to (10.5) of docs/mathematics.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contract.rotations import log_so3
+from onboard.geometry.robust import OUTLIER_SIGMAS, robust_cost
+
+Array = NDArray[np.float64]
+
+STEP_S = 0.05
+NEAR_S = 1.5 * STEP_S  # a window's derivative holds over as much of a roll
+REACH_S = 0.5  # at least
+CLEAR = 2.0 * float(np.log(1000.0))  # of chi-square: a thousand to one
+MIN_PICTURES = 4
+COMMON = 4  # mount and heading, which every picture shares
+ROUNDS = 4
+
+
+@dataclass(frozen=True)
+class ClockProfile:
+    """The offset that fits best, how wide the profile is, and the run of offsets that fit as well, if it is one."""
+
+    best_s: float
+    sigma_s: float
+    run_s: tuple[float, float] | None
+
+    def rejects(self, offset_s: float) -> bool:
+        """Whether one run of offsets, which ends within reach, fits clearly better than this one."""
+        if self.run_s is None:
+            return False
+        return not self.run_s[0] - NEAR_S < offset_s < self.run_s[1] + NEAR_S
+
+    def lacks(self, variance: float, before: float) -> float:
+        """By how much a posterior variance (s^2) must grow, so that from the one before it gains no more than this."""
+        gained, shown = 1.0 / variance - 1.0 / before, 1.0 / max(self.sigma_s, STEP_S / 100.0) ** 2
+        return max(1.0 / (1.0 / before + min(gained, shown)) - variance, 0.0) if gained > 0.0 else 0.0
+
+
+def offsets_about(offset_s: float, sigma_s: float) -> Array:
+    """(T,) offsets to compare, about the one used."""
+    steps = np.ceil(max(REACH_S, 2.0 * sigma_s) / STEP_S)
+    out: Array = offset_s + STEP_S * np.arange(-steps, steps + 1.0)
+    return out
+
+
+def clock_profile(R_cam_enu: Array, R_enu_cam: Array, offsets_s: Array, sigma_rad: Array) -> ClockProfile | None:
+    """The profile over offsets (T,); None from too few pictures. (10.5)
+
+    `R_cam_enu` (K, 3, 3): the window's own orientations. `R_enu_cam` (T, K, 3, 3): the autopilot's through the nominal
+    mount, at every offset. `sigma_rad` (3,): of one attitude; of mount and heading, which all pictures share.
+    """
+    K = len(R_cam_enu)
+    if K < MIN_PICTURES:
+        return None
+    cost = _costs(log_so3(R_cam_enu @ R_enu_cam), R_cam_enu[:, :, 2], sigma_rad)
+    best = int(np.argmin(cost))
+    excess = (cost - cost[best]) / max(float(cost[best]) / (3 * K - COMMON), 1.0)
+    likely = np.exp(-0.5 * excess)
+    sigma_s = float(np.sqrt(likely @ np.square(offsets_s - offsets_s[best]) / likely.sum()))
+    fitting = np.flatnonzero(excess < CLEAR)
+    first, last = int(fitting[0]), int(fitting[-1])
+    is_one_run = last - first == len(fitting) - 1 and first > 0 and last < len(cost) - 1
+    run_s = (float(offsets_s[first]), float(offsets_s[last])) if is_one_run else None
+    return ClockProfile(float(offsets_s[best]), sigma_s, run_s)
+
+
+def _costs(apart: Array, up_cam: Array, sigma_rad: Array) -> Array:
+    """(T,) costs of rotations (T, K, 3), what mount and heading explain of them taken out robustly. (10.4)"""
+    K = len(up_cam)
+    A = np.concatenate([np.broadcast_to(np.eye(3), (K, 3, 3)), up_cam[:, :, None]], axis=2)
+    weight = np.ones(apart.shape[:2])
+    prior = np.diag(sigma_rad[0] ** 2 / np.square(sigma_rad[[1, 1, 1, 2]]))
+    for _ in range(ROUNDS):
+        N = np.einsum("tk,kri,krj->tij", weight, A, A) + prior
+        common = np.linalg.solve(N, np.einsum("tk,kri,tkr->ti", weight, A, apart)[..., None])[..., 0]
+        left = apart - np.einsum("kri,ti->tkr", A, common)
+        cost, weight = robust_cost(np.square(left).sum(axis=2) / sigma_rad[0] ** 2, OUTLIER_SIGMAS)
+    out: Array = cost.sum(axis=1) + np.einsum("ti,ij,tj->t", common, prior, common) / sigma_rad[0] ** 2
+    return out

@@ -1,0 +1,122 @@
+"""The profile over time offsets: rejects one that is far off, never the right one, and is wide where nothing shows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from contract.rotations import R_ENU_NED, exp_so3, matrix_from_euler, mount_rotation
+from onboard.estimation.clock_profile import STEP_S, ClockProfile, clock_profile, offsets_about
+from tests.rest_long import rest_long
+
+Array = NDArray[np.float64]
+
+R_BODY_CAM = mount_rotation(0.0, -90.0, 0.0)  # looks down
+SPEED_M_S, G = 20.0, 9.81
+SIGMA_RAD = np.radians([0.5, 3.0, 3.0])  # as declared
+TURNS = tuple((1.0 + 6.0 * k, (-1) ** k * 40.0) for k in range(3))  # begins at, bank in degrees
+MOUNT_DEG, COMPASS_DEG = (2.0, 1.5, -1.0), 3.0  # off by
+ROLL_S, HELD_S = 1.2, 3.0
+
+
+def attitude(t: float, turns: tuple[tuple[float, float], ...], wobble_deg: float = 0.0) -> Array:
+    """R_enu_body in coordinated turns: rolls in, holds the bank, rolls out; or wobbles at 2 Hz."""
+    times = np.arange(-2.0, t, 0.01)
+    bank = np.zeros(len(times))
+    for begin, degrees in turns:
+        rise, fall = (np.clip((times - s) / ROLL_S, 0.0, 1.0) for s in (begin, begin + HELD_S))
+        bank += np.radians(degrees) * (rise**2 * (3 - 2 * rise) - fall**2 * (3 - 2 * fall))
+    heading = float(np.sum(G * np.tan(bank) / SPEED_M_S) * 0.01)
+    wobble = np.radians(wobble_deg) * np.sin(4.0 * np.pi * t)
+    return R_ENU_NED @ matrix_from_euler(float(bank[-1]) + wobble, 0.0, heading)
+
+
+def profile(
+    offset_s: float,
+    used_s: float = 0.0,
+    seed: int = 0,
+    turns: tuple[tuple[float, float], ...] = TURNS,
+    noise_deg: float = 0.3,
+    wobble_deg: float = 0.0,
+    pictures: int = 10,
+    wrong: int = 0,
+) -> ClockProfile | None:
+    """Of pictures 0.9 s apart whose stamps are `offset_s` before their exposures by the autopilot's clock.
+
+    `noise_deg`: of each attitude that is looked up; `wrong`: pictures whose attitudes are 30 degrees off.
+    """
+    rng = np.random.default_rng(seed)
+    mount = exp_so3(np.radians(MOUNT_DEG))
+    exposures = 0.9 * np.arange(pictures) + rng.uniform(0.0, 1.0)
+    own = np.stack([(attitude(float(t), turns, wobble_deg) @ R_BODY_CAM @ mount).T for t in exposures])
+    offsets_s = offsets_about(used_s, 0.1)
+    compass = exp_so3(np.array([0.0, 0.0, -np.radians(COMPASS_DEG)]))
+    noise = exp_so3(np.radians(noise_deg) * rng.standard_normal((pictures, 3)))  # lasts as long as offsets differ
+    noise[:wrong] = exp_so3(np.radians([30.0, 0.0, 0.0]))
+    looked_up = [
+        [
+            compass @ n @ attitude(float(t - offset_s + tau), turns, wobble_deg) @ R_BODY_CAM
+            for t, n in zip(exposures, noise, strict=True)
+        ]
+        for tau in offsets_s
+    ]
+    return clock_profile(own, np.array(looked_up), offsets_s, SIGMA_RAD)
+
+
+@pytest.mark.parametrize("offset_s", rest_long([-0.42, 0.35, -0.2, 0.15], 2))
+def test_an_offset_that_is_far_off_is_rejected_and_the_right_one_found(offset_s: float) -> None:
+    for seed in range(4):
+        found = profile(offset_s, seed=seed)
+        assert found is not None
+        assert found.rejects(0.0)
+        assert not found.rejects(offset_s)
+        assert abs(found.best_s - offset_s) < 1.5 * STEP_S
+        assert found.sigma_s < 0.05
+
+
+@pytest.mark.parametrize("noise_deg", [0.1, 1.0])
+def test_the_right_offset_is_never_rejected(noise_deg: float) -> None:
+    """Whatever the attitudes' noise, and where the one used is a step off."""
+    for seed in range(12):
+        found = profile(0.03, seed=seed, noise_deg=noise_deg)
+        assert found is not None
+        assert not found.rejects(0.0)
+        assert not found.rejects(0.03)
+
+
+@pytest.mark.parametrize("noise_deg", [0.3, 2.0])
+def test_level_flight_and_a_wobble_below_the_noise_show_nothing(noise_deg: float) -> None:
+    for seed in range(4):
+        for wobble_deg in (0.0, 0.2 * noise_deg):
+            found = profile(-0.3, seed=seed, turns=(), noise_deg=noise_deg, wobble_deg=wobble_deg)
+            assert found is not None
+            assert not found.rejects(0.0)
+            assert found.sigma_s > 0.2
+
+
+def test_one_wrong_attitude_changes_nothing() -> None:
+    found = profile(-0.3, wrong=1)
+    assert found is not None
+    assert abs(found.best_s + 0.3) < 1.5 * STEP_S
+    assert found.rejects(0.0)
+
+
+def test_an_offset_beyond_reach_is_not_guessed_at() -> None:
+    """The best within reach is at its end, or its neighbours fit as well; nothing is then known to be better."""
+    found = profile(1.0)
+    assert found is not None
+    assert found.run_s is None
+
+
+def test_three_pictures_are_too_few() -> None:
+    assert profile(-0.3, pictures=3) is None
+
+
+def test_a_window_gains_no_more_than_the_profile_shows() -> None:
+    wide, sharp = ClockProfile(0.0, 0.2, None), ClockProfile(0.0, 0.0, None)
+    variance, before = 0.02**2, 0.1**2
+    assert sharp.lacks(variance, before) == 0.0
+    assert variance + wide.lacks(variance, before) == pytest.approx(1.0 / (1.0 / before + 1.0 / 0.2**2))
+    assert wide.lacks(before, before) == 0.0, "what gained nothing loses nothing"
+    assert wide.lacks(1.01 * before, before) == 0.0
