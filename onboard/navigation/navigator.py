@@ -262,7 +262,7 @@ class Navigation:
 
     def attitudes_at(self, moments_ns: Sequence[int], position_enu_m: Array) -> Array | None:
         """R_enu_body (N, 3, 3), as a state at this place would have it; None where one of them is not known."""
-        if not self._wants_attitude:
+        if not self._wants_attitude or self.frame is None:
             return None
         found = [self._attitude_at(moment_ns) for moment_ns in moments_ns]
         known = [R for R in found if not isinstance(R, Status)]

@@ -1,6 +1,7 @@
-"""Keyframes: when a picture becomes one, and their navigation looked up again where its offset is known better.
+"""Keyframes: when a picture becomes one, and their navigation at other time offsets than the one they were taken at.
 
-An offset acts on a window by first derivatives, (5.4) to (5.7), which hold for some tens of milliseconds of a roll.
+An offset acts on a window by first derivatives, (5.4) to (5.7), which hold for some tens of milliseconds of a roll: so
+navigation is looked up again where the offset is known better, and attitudes are compared at offsets far from it.
 """
 
 from __future__ import annotations

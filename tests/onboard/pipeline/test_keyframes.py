@@ -18,7 +18,7 @@ from onboard.estimation.sliding_window import Window
 from onboard.estimation.window_solver import adjust
 from onboard.events.types import Attitude
 from onboard.navigation.navigator import NavState
-from onboard.pipeline.keyframes import look_up_again
+from onboard.pipeline.keyframes import look_up_again, profile_of
 from onboard.pipeline.pipeline import Pipeline
 from simulation.paths import PathSpec
 
@@ -148,3 +148,22 @@ def test_what_was_learned_stays_where_only_the_newest_window_went_astray() -> No
     assert window.adopt(outcome, ClockProfile(learned_s, 0.01, (learned_s, learned_s))) is Status.STARTING
     assert window.alignment.updates
     assert window.times_s()[0] == learned_s
+
+
+def test_attitudes_at_other_offsets_are_those_of_the_states_there_and_none_where_they_end() -> None:
+    pipeline = flown()
+    navigation, last = pipeline.navigation, pipeline.window.keyframes[-1]
+    moments_ns = [last.nav.stamp_ns + offset_ns for offset_ns in (-333_000_000, 0)]
+    found = navigation.attitudes_at(moments_ns, last.nav.position_enu_m)
+    states = [navigation.state_at(moment_ns) for moment_ns in moments_ns]
+    assert found is not None
+    for R, state in zip(found, states, strict=True):
+        assert isinstance(state, NavState)
+        assert state.R_enu_body is not None
+        assert np.allclose(R, state.R_enu_body, atol=1e-6)
+    assert navigation.attitudes_at([last.nav.stamp_ns + 10**10], last.nav.position_enu_m) is None
+    outcome = adjust(pipeline.window.prepare())
+    assert profile_of(outcome, pipeline.window, navigation) is not None
+    navigation._forget()
+    assert navigation.attitudes_at(moments_ns, last.nav.position_enu_m) is None
+    assert profile_of(outcome, pipeline.window, navigation) is None
