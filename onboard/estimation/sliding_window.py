@@ -262,7 +262,7 @@ class Window:
     def _begin_at(self, clock: ClockProfile) -> Status:
         """Begin again at the time offset that fits; all that windows found at another is forgotten."""
         offset_s, delay_s = self.times_s()
-        self.refusal = f"the autopilot's attitudes fit at a time offset of {clock.best_s:+.2f} s, not {offset_s:+.2f}"
+        self.refusal = f"attitudes fit at another time offset: {clock.best_s:+.2f} s, not {offset_s:+.2f}"
         self.forget_solutions()
         if clock.rejects(float(self.alignment.platform.mean[OFFSET])):
             self.alignment.forget()

@@ -153,7 +153,7 @@ class Attitudes:
         return rate
 
 
-@lru_cache(maxsize=4)  # what was asked for last is mostly asked for again
+@lru_cache(maxsize=512)  # a window asks again for most of what the one before it asked for, (10.3)
 def _between(start: _Attitude, end: _Attitude) -> tuple[Array, Array | None]:
     """The turn (3,), rad, between two attitudes in a row, and the rate at its end in the axes of its logarithm."""
     turn = log_so3(start.R_ned_body.T @ end.R_ned_body)

@@ -136,7 +136,7 @@ def test_a_window_at_an_offset_that_another_clearly_beats_answers_nothing_and_te
     assert window.adopt(outcome, ClockProfile(-0.5, 0.01, (-0.5, -0.45))) is Status.STARTING
     assert window.solved is None
     assert window.times_s()[0] == -0.5
-    assert window.refusal.startswith("the autopilot's attitudes fit at a time offset of -0.50 s, not -0.")
+    assert window.refusal.startswith("attitudes fit at another time offset: -0.50 s, not -0.")
     assert taught and not window.alignment.updates, "the mount was learned at another offset"
 
 
