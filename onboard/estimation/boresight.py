@@ -106,8 +106,14 @@ class Alignment:
         first = np.diag(np.square(sigmas) + tiny)
         self._estimates = [PlatformEstimate(0, np.zeros(len(first)), first)]
         self._spacing_ns = round(spacing_s * 1e9)
-        self._squares, self._counts = np.zeros(len(first)), np.zeros(len(first))
-        self._weakened = np.ones(len(first))  # by what disagreement the windows so far count for less
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget what windows have taught; what was known before them stays."""
+        del self._estimates[1:]
+        count = len(self._estimates[0].mean)
+        self._squares, self._counts = np.zeros(count), np.zeros(count)
+        self._weakened = np.ones(count)  # by what disagreement the windows so far count for less
         self.unconfirmed: Unconfirmed | None = None
 
     @property
@@ -202,13 +208,6 @@ class Alignment:
         begin = self._estimates[0]
         self._estimates = [PlatformEstimate(begin.end_ns, scale * begin.mean, first, begin.given), *new]
         self._camera_file, self.unconfirmed = camera, None
-
-    def forget(self) -> None:
-        """Forget what windows have taught; what was known before them stays."""
-        del self._estimates[1:]
-        self._squares, self._counts = np.zeros_like(self._squares), np.zeros_like(self._counts)
-        self._weakened = np.ones_like(self._weakened)
-        self.unconfirmed = None
 
     @property
     def disagreement(self) -> Array:
