@@ -30,17 +30,20 @@ ROUNDS = 4
 
 @dataclass(frozen=True)
 class ClockProfile:
-    """The offset that fits best, how wide the profile is, and the run of offsets that fit as well, if it is one."""
+    """The offset that fits best, how wide the profile is about it, and from where to where others may be right too.
+
+    `kept_s` is None where what fits about as well as the best is not one run of offsets that ends within reach.
+    """
 
     best_s: float
     sigma_s: float
-    run_s: tuple[float, float] | None
+    kept_s: tuple[float, float] | None
 
     def rejects(self, offset_s: float) -> bool:
-        """Whether one run of offsets, which ends within reach, fits clearly better than this one."""
-        if self.run_s is None:
+        """Whether this offset cannot be right, and another is known to be."""
+        if self.kept_s is None:
             return False
-        return not self.run_s[0] - NEAR_S < offset_s < self.run_s[1] + NEAR_S
+        return not self.kept_s[0] - NEAR_S < offset_s < self.kept_s[1] + NEAR_S
 
     def lacks(self, variance: float, before: float) -> float:
         """By how much a posterior variance (s^2) must grow, so that from the one before it gains no more than this."""
@@ -66,14 +69,16 @@ def clock_profile(R_cam_enu: Array, R_enu_cam: Array, offsets_s: Array, sigma_ra
         return None
     cost = _costs(log_so3(R_cam_enu @ R_enu_cam), R_cam_enu[:, :, 2], sigma_rad)
     best = int(np.argmin(cost))
-    excess = (cost - cost[best]) / max(float(cost[best]) / (3 * K - COMMON), 1.0)
+    freedoms = 3 * K - COMMON
+    excess = (cost - cost[best]) / max(float(cost[best]) / freedoms, 1.0)
     likely = np.exp(-0.5 * excess)
     sigma_s = float(np.sqrt(likely @ np.square(offsets_s - offsets_s[best]) / likely.sum()))
-    fitting = np.flatnonzero(excess < CLEAR)
-    first, last = int(fitting[0]), int(fitting[-1])
-    is_one_run = last - first == len(fitting) - 1 and first > 0 and last < len(cost) - 1
-    run_s = (float(offsets_s[first]), float(offsets_s[last])) if is_one_run else None
-    return ClockProfile(float(offsets_s[best]), sigma_s, run_s)
+    clear = np.flatnonzero(excess < CLEAR)
+    is_one_run = clear[-1] - clear[0] == len(clear) - 1 and clear[0] > 0 and clear[-1] < len(cost) - 1
+    # Other offsets meet other errors of the attitudes: by so much costs scatter however equal the rotations are.
+    chance = 2.0 * np.sqrt(freedoms)
+    kept = offsets_s[excess < OUTLIER_SIGMAS * chance]
+    return ClockProfile(float(offsets_s[best]), sigma_s, (float(kept[0]), float(kept[-1])) if is_one_run else None)
 
 
 def _costs(apart: Array, up_cam: Array, sigma_rad: Array) -> Array:

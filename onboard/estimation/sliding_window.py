@@ -264,6 +264,7 @@ class Window:
         offset_s, delay_s = self.times_s()
         self.refusal = f"attitudes fit at another time offset: {clock.best_s:+.2f} s, not {offset_s:+.2f}"
         self.forget_solutions()
+        self.noise = replace(self.noise, failing=self.noise.failing.explained())
         if clock.rejects(float(self.alignment.platform.mean[OFFSET])):
             self.alignment.forget()
         self._times_s = clock.best_s, delay_s

@@ -24,7 +24,6 @@ KEYFRAME_SHIFT = 0.10  # median motion, as a share of the picture's width, that 
 KEYFRAME_TRACKS = 0.65  # share of features still followed below which a keyframe is made
 KEYFRAME_TURN_RAD = 0.30
 LEAST_OFFSET_S, LEAST_DELAY_S = 0.003, 0.02  # of 3 rad/s and 30 m/s: half a degree and half a metre
-TELLING_S = 0.02  # of an offset, a third of a degree in a slow roll: what contradicted was the clock and no sensor
 
 
 def wants_keyframe(tracks: Tracks, width_px: int) -> bool:
@@ -63,8 +62,6 @@ def look_up_again(window: Window, navigation: Navigation) -> None:
         if k.frame not in solved and R_cam_enu is not None:  # its start was by the navigation that is replaced
             now = replace(now, R_cam_enu=R_cam_enu, centre_enu_m=window.position_guess(nav))
         found.append(now)
-    if max(abs(k.nav_offset_s - offset_s) for k in window.keyframes) > TELLING_S:
-        window.noise = replace(window.noise, failing=window.noise.failing.explained())
     window.keyframes = found
 
 

@@ -106,7 +106,7 @@ def test_an_offset_beyond_reach_is_not_guessed_at() -> None:
     """The best within reach is at its end, or its neighbours fit as well; nothing is then known to be better."""
     found = profile(1.0)
     assert found is not None
-    assert found.run_s is None
+    assert found.kept_s is None
 
 
 def test_three_pictures_are_too_few() -> None:
