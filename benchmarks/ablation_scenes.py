@@ -186,7 +186,6 @@ def _quaternion(R: Array) -> tuple[float, float, float, float]:
 
 
 TURNS = PathSpec("turns", height_m=150.0, bank_deg=30.0, leg_m=200.0)
-STEEP = PathSpec("turns", speed_m_s=15.0, height_m=100.0, bank_deg=45.0, leg_m=80.0)
 ORDINARY = (
     recorded("plane_wind_noise", seconds=ORDINARY_SECONDS),
     recorded("plane_breeze", "gps", seconds=ORDINARY_SECONDS),

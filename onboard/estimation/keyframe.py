@@ -91,6 +91,11 @@ def swept(keyframes: Sequence[Keyframe], rates_cam_rad_s: Array, readout_s: floa
     return tuple(out)
 
 
+def stamp_sigma_s(keyframes: Sequence[Keyframe]) -> float:
+    """One sigma of what their stamps are off by for a while, which is no property of the platform; 0 if by nothing."""
+    return max((k.nav.stamp_sigma_s for k in keyframes), default=0.0)
+
+
 def have_attitude(keyframes: Sequence[Keyframe]) -> bool:
     """Whether the autopilot gave an attitude to every one."""
     return all(k.nav.R_enu_body is not None for k in keyframes)

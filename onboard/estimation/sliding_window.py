@@ -22,7 +22,7 @@ from onboard.estimation.clock_profile import ClockProfile
 from onboard.estimation.factors import RATES
 from onboard.estimation.ground_slope import GroundSlope, SlopePrior, SlopeSeen, seen_alone
 from onboard.estimation.initialisation import follow
-from onboard.estimation.keyframe import Keyframe, Observation, seen_with
+from onboard.estimation.keyframe import Keyframe, Observation, seen_with, stamp_sigma_s
 from onboard.estimation.moved_optics import MOVED
 from onboard.estimation.platform_states import DELAY, OFFSET, STATES
 from onboard.estimation.second_start import by_attitude
@@ -212,7 +212,7 @@ class Window:
             tuple(self.keyframes),
             self.solved,
             self.terrain,
-            self.alignment.prior_for(start_ns).widened(max((k.nav.stamp_sigma_s for k in self.keyframes), default=0.0)),
+            self.alignment.prior_for(start_ns).widened(stamp_sigma_s(self.keyframes)),
             self.noise,
             self._slope_prior(start_ns),
             self.memory,
@@ -290,8 +290,8 @@ class Window:
     def learn(self, solved: Solved, clock: ClockProfile | None = None) -> None:
         """Offer a solved window's boresight and time offset as a posterior update."""
         s, layout = solved.solution, solved.layout
-        if self.keyframes[0].nav.R_enu_body is None or any(k.nav.stamp_sigma_s for k in self.keyframes):
-            return  # what stamps are off by for a while is no property of the platform
+        if self.keyframes[0].nav.R_enu_body is None or stamp_sigma_s(self.keyframes):
+            return
         mean, shared = s.state.platform, layout.platform
         start, end = self.keyframes[0].nav.stamp_ns, self.keyframes[-1].nav.stamp_ns
         covariance = solved.covariance_at((start + end) // 2)[shared, shared].copy()

@@ -12,7 +12,7 @@ import numpy as np
 
 from contract.feature_set import Status
 from onboard.estimation.clock_profile import ClockProfile, clock_profile, offsets_about
-from onboard.estimation.keyframe import Keyframe
+from onboard.estimation.keyframe import Keyframe, stamp_sigma_s
 from onboard.estimation.platform_states import OFFSET
 from onboard.estimation.sliding_window import Window
 from onboard.estimation.window_request import Outcome
@@ -68,8 +68,8 @@ def look_up_again(window: Window, navigation: Navigation) -> None:
 def profile_of(outcome: Outcome, window: Window, navigation: Navigation) -> ClockProfile | None:
     """How well a solved window's orientations fit the autopilot's attitudes at other time offsets; None if unknown."""
     found = outcome.solved or outcome.rejected or outcome.weighed
-    if found is None or any(k.nav.stamp_sigma_s for k in outcome.keyframes):
-        return None  # what stamps are off by for a while is no property of the platform
+    if found is None or stamp_sigma_s(outcome.keyframes):
+        return None
     offsets_s = offsets_about(window.times_s()[0], float(window.alignment.platform.sigma[OFFSET]))
     offsets_ns = [round(offset_s * 1e9) for offset_s in offsets_s]
     attitudes = [
