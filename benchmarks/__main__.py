@@ -45,7 +45,7 @@ BENCHMARKS = (
     Benchmark(
         "autopilots",
         "With recorded autopilots",
-        ("--recordings", ",".join(STARTS), "--seconds", "150", "--seed", "3"),
+        ("--recordings", ",".join(STARTS), "--seconds", "240", "--seed", "3", "--draws", "3"),
         ("--recordings", "plane_clean", "--seconds", "40"),
     ),
     Benchmark(

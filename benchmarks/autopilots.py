@@ -5,7 +5,7 @@
 
 Position, velocity and attitude are what ArduPilot or PX4 sent, with all of its errors, none of which we chose; a
 sampled Gauss-Markov error is added to the position, for one flight is only one sample of its GPS, and simulators of
-receivers hold none that lasts. Features are points of
+receivers hold none that lasts; every draw of every recording has one of its own. Features are points of
 simulated ground with pixel noise (`sampled_flight`), so that a flight of minutes takes seconds. Printed for every
 scene: the share answered, median and 90 % error next to what the flat ray gives (the autopilot's own pose, the true
 mount, level ground at home's height), the share inside the 90 % ellipse by bank, inside the 99 % ellipse, the worst
@@ -22,8 +22,10 @@ import functools
 import itertools
 import multiprocessing
 import time
+import zlib
 from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -311,8 +313,14 @@ def jobs_of(args: argparse.Namespace) -> list[Job]:
         start_s = STARTS[name] if args.start is None else args.start
         scene = Scene(name, config, start_s, args.seconds, wander_m=args.position_error)
         scene = replace(scene, **FAULTS[fault])
-        jobs += [(f"{name} {mount} {sensors} {fault}", scene, args.seed + draw) for draw in range(args.draws)]
+        seeds = range(seed_of(name, args.seed), seed_of(name, args.seed) + args.draws)
+        jobs += [(f"{name} {mount} {sensors} {fault}", scene, seed) for seed in seeds]
     return jobs
+
+
+def seed_of(name: str, seed: int) -> int:
+    """Of a recording's first draw: its own, so that not all recordings get one and the same error of positions."""
+    return seed + 1000 * (zlib.crc32(Path(name).name.encode()) % 1000)
 
 
 def report(results: Iterable[tuple[str, Score, float]]) -> None:

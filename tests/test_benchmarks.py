@@ -363,6 +363,14 @@ def test_with_a_recorded_autopilot_the_ellipses_hold_in_every_bank() -> None:
     assert score.learned_values is not None and len(score.learned_values[0]) == 8
 
 
+def test_every_draw_of_every_recording_has_an_error_of_positions_of_its_own() -> None:
+    args = ["--recordings", ",".join(autopilots.STARTS), "--sensors", "full,gps", "--draws", "3", "--seed", "3"]
+    jobs = autopilots.jobs_of(autopilots.arguments(args))
+    seeds = {(scene.recording, seed) for _, scene, seed in jobs}
+    assert len(seeds) == len({seed for _, seed in seeds}) == 3 * len(autopilots.STARTS)
+    assert len(jobs) == 2 * len(seeds)  # with all sensors and with two, the same flights
+
+
 @pytest.mark.parametrize(("asked", "least_m", "most_m"), [([], 0.1, 10.0), (["--position-error", "0"], 0.0, 1e-6)])
 def test_recorded_positions_have_the_error_that_was_asked_for(asked: list[str], least_m: float, most_m: float) -> None:
     recording = str(Path(__file__).parent / "data" / "plane_turn")
