@@ -1,10 +1,9 @@
 """Boresight, camera-to-autopilot time offset, position delay and heading error, estimated in flight.
 
-Every window solve estimates them (residuals (5.4), (5.7)) against a prior. Its posterior may serve as prior for later
-windows only if it has seen none of their data, and the autopilot's attitude error is correlated over tens of seconds,
-so that windows closer than that repeat the same error. Therefore posteriors are kept only from windows that far apart,
-and a window's prior is the newest posterior that ended before the window began. Windows that disagree with each other
-by more than their covariances say count for less, (6.13). Section 10 of docs/mathematics.md.
+Every window solve estimates them against a prior, the newest posterior that ended before the window began. Posteriors
+are kept only from windows so far apart that they share neither data nor the autopilot's attitude error, (10.2), which
+is correlated over tens of seconds. Windows that disagree with each other by more than their covariances say count for
+less, (6.13). Section 10 of docs/mathematics.md.
 """
 
 from __future__ import annotations
@@ -15,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from contract.camera import Camera
 from contract.errors import InputError
@@ -22,15 +22,26 @@ from onboard.estimation import camera_states
 from onboard.estimation.information import Information
 from onboard.estimation.platform_states import BORESIGHT, DELAY, HEADING, OFFSET, STATES, VELOCITY_DELAY, WALK
 from onboard.geometry.robust import OUTLIER_SIGMAS
+from onboard.navigation.limits import SURE_SIGMAS
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 MEMORY_ESTIMATES = 8
-TOO_SURE = 2.0  # times the declared sigma that data may claim
+TOO_SURE = 2.0  # times the declared sigma that data may claim: they have unmodelled errors too
 AGREEMENT_PRIOR = 2.0  # windows that agree with their covariances, assumed before any has been seen
-AGREE = 3.0  # sigmas of their difference, within which two values confirm each other
 ZOOM_REACH = 0.3  # of the focal length's logarithm, over which a zoom table's errors are correlated
 MIN_GAIN = 0.02  # of a variance: a window that says less of a state is no evidence on it
+LENS = slice(STATES, STATES + camera_states.COUNT)
+FOCAL_LENGTH = STATES + camera_states.FOCAL_LENGTH
+# Keys of the state directory; older files lack those from the delays on.
+KEYS = {
+    "boresight_rad": BORESIGHT,
+    "offset_s": OFFSET,
+    "delay_s": DELAY,
+    "velocity_delay_s": VELOCITY_DELAY,
+    "heading_rad": HEADING,
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +54,7 @@ class PlatformEstimate:
     end_ns: int
     mean: Array
     covariance: Array
-    given: Array | None = None  # (8,) variances of the first prior that it still rests on; None: as configured
+    given: Array | None = None  # (B,) variances of the first prior that it still rests on; None: as configured
 
     @property
     def sigma(self) -> Array:
@@ -52,27 +63,36 @@ class PlatformEstimate:
 
     def widened(self, stamp_sigma_s: float) -> PlatformEstimate:
         """The same for pictures whose stamps are off by one more sigma, all by the same."""
-        if stamp_sigma_s == 0.0:
-            return self
         wider = self.covariance.copy()
         wider[OFFSET, OFFSET] += stamp_sigma_s**2
-        return PlatformEstimate(self.end_ns, self.mean, wider, self.given)
+        return replace(self, covariance=wider)
 
     def aged(self, stamp_ns: int) -> PlatformEstimate:
         """The same some time later. Equation (10.1)."""
         minutes = max(stamp_ns - self.end_ns, 0) / 60e9 if self.end_ns else 0.0
-        walk = WALK[: len(self.mean)]
-        return PlatformEstimate(self.end_ns, self.mean, self.covariance + np.diag(walk**2 * minutes), self.given)
+        return replace(self, covariance=self.covariance + np.diag(WALK[: len(self.mean)] ** 2 * minutes))
+
+    def with_camera(self) -> PlatformEstimate:
+        """The same with states of the camera; those of one that had none are known to be 0."""
+        if len(self.mean) > STATES:
+            return self
+        sure, given = np.full(camera_states.COUNT, camera_states.CERTAIN**2), self.given
+        covariance = block_diag(self.covariance, np.diag(sure))
+        given = None if given is None else np.append(given, sure)
+        return PlatformEstimate(self.end_ns, np.append(self.mean, 0.0 * sure), covariance, given)
+
+    def is_outside(self, mean: Array, factor: Array | float = 1.0) -> Mask:
+        """(B,) which states are farther from it than its sigma, times a factor, allows for. (10.6)"""
+        out: Mask = np.abs(mean - self.mean) > OUTLIER_SIGMAS * factor * self.sigma
+        return out
 
 
 @dataclass(frozen=True, eq=False)
 class Unconfirmed:
-    """What would be learned if anything confirmed it: the states that are outside (8,), and mean and sigma of all."""
+    """What would be learned if anything confirmed it, and which of its states (B,) are outside."""
 
-    end_ns: int
-    outside: NDArray[np.bool_]
-    mean: Array
-    sigma: Array
+    found: PlatformEstimate
+    outside: Mask
 
 
 class Alignment:
@@ -94,16 +114,13 @@ class Alignment:
     ) -> None:
         """Priors are one sigma; `spacing_s` is the least time between the ends of two windows that update it.
 
-        `camera`: the camera file, whose own errors are then estimated too, if it states any sigma. `readout`: of its
-        rows, as configured, and one sigma (s).
+        `camera`: the file, whose errors are estimated if it states any sigma. `readout`: of its rows, as configured,
+        and one sigma (s).
         """
-        tiny = 1e-12
-        of_camera = camera_states.first_sigmas(camera, readout[1])
-        self._camera, self._readout_s = camera if of_camera else None, readout[0]
-        self._camera_file = camera
+        self._file, self._lens, self._readout_s = camera, camera, readout[0]
         sigmas = [mount_sigma_rad] * 3 + [offset_sigma_s, delay_sigma_s, delay_sigma_s] + [heading_sigma_rad] * 2
-        sigmas += list(of_camera)
-        first = np.diag(np.square(sigmas) + tiny)
+        sigmas += camera_states.first_sigmas(camera, readout[1])
+        first = np.diag(np.square(sigmas) + camera_states.CERTAIN**2)
         self._estimates = [PlatformEstimate(0, np.zeros(len(first)), first)]
         self._spacing_ns = round(spacing_s * 1e9)
         self.forget()
@@ -111,9 +128,8 @@ class Alignment:
     def forget(self) -> None:
         """Forget what windows have taught; what was known before them stays."""
         del self._estimates[1:]
-        count = len(self._estimates[0].mean)
-        self._squares, self._counts = np.zeros(count), np.zeros(count)
-        self._weakened = np.ones(count)  # by what disagreement the windows so far count for less
+        # Of all states that there can be. The last: by what disagreement the windows so far count for less.
+        self._squares, self._counts, self._weakened = np.zeros(len(WALK)), np.zeros(len(WALK)), np.ones(len(WALK))
         self.unconfirmed: Unconfirmed | None = None
 
     @property
@@ -128,103 +144,94 @@ class Alignment:
 
     def prior_for(self, start_ns: int) -> PlatformEstimate:
         """The prior of a window whose first keyframe is at `start_ns`."""
-        for estimate in reversed(self._estimates):
-            if estimate.end_ns <= start_ns:
-                return estimate.aged(start_ns)
-        return self._estimates[0]
+        return next(e for e in reversed(self._estimates) if e.end_ns <= start_ns).aged(start_ns)
 
     def offer(self, start_ns: int, end_ns: int, mean: Array, covariance: Array) -> bool:
         """A solved window's posterior; True if it was taken."""
-        newest_ns = self._estimates[-1].end_ns
-        if start_ns < newest_ns or (newest_ns and end_ns - newest_ns < self._spacing_ns):
+        if self._repeats(self.platform, start_ns, end_ns):
             return False
-        first, before = self._estimates[0], self.prior_for(start_ns)
-        outside = _outside(before, mean, self.disagreement) | (_outside(first, mean) & ~_outside(first, before.mean))
-        if np.any(outside) and not self._is_confirmed(start_ns, end_ns, mean, covariance, outside):
+        first, before, found = self._estimates[0], self.prior_for(start_ns), PlatformEstimate(end_ns, mean, covariance)
+        outside = before.is_outside(mean, self.disagreement) | (first.is_outside(mean) & ~first.is_outside(before.mean))
+        if np.any(outside) and not self._is_confirmed(start_ns, Unconfirmed(found, outside)):
             return False
         self.unconfirmed = None
         mean, covariance = self._agreed(before, mean, covariance)
-        rests_on = before.given
-        estimate = PlatformEstimate(
-            end_ns, mean.copy(), covariance.copy(), np.diag(first.covariance) if rests_on is None else rests_on
-        )
-        self._estimates.append(_with_prior_reweighed(estimate, first))
+        given = np.diag(first.covariance) if before.given is None else before.given
+        self._estimates.append(_with_prior_reweighed(PlatformEstimate(end_ns, mean, covariance, given), first))
         del self._estimates[1:-MEMORY_ESTIMATES]
         return True
 
-    def _is_confirmed(
-        self, start_ns: int, end_ns: int, mean: Array, covariance: Array, outside: NDArray[np.bool_]
-    ) -> bool:
-        """Whether an earlier window that shares no data, and no error of the attitude, was outside likewise. (10.6)"""
-        held, sigma = self.unconfirmed, np.sqrt(np.diag(covariance))
-        if held is not None and (start_ns < held.end_ns or end_ns - held.end_ns < self._spacing_ns):
-            return False  # it may repeat the other's error: neither a confirmation nor anything new
-        self.unconfirmed = Unconfirmed(end_ns, outside, mean.copy(), sigma)
-        if held is None or np.any(outside & ~held.outside):
+    def _repeats(self, earlier: PlatformEstimate, start_ns: int, end_ns: int) -> bool:
+        """Whether a window may share data, or an error of the attitude, with an earlier estimate. (10.2)"""
+        return earlier.end_ns > 0 and (start_ns < earlier.end_ns or end_ns - earlier.end_ns < self._spacing_ns)
+
+    def _is_confirmed(self, start_ns: int, new: Unconfirmed) -> bool:
+        """Whether an earlier window that this one does not repeat was outside likewise. (10.6)"""
+        held = self.unconfirmed
+        if held is not None and self._repeats(held.found, start_ns, new.found.end_ns):
+            return False  # neither a confirmation nor anything new
+        self.unconfirmed = new
+        if held is None or np.any(new.outside & ~held.outside):
             return False
-        return bool(np.all(np.abs(mean - held.mean)[outside] <= AGREE * np.hypot(sigma, held.sigma)[outside]))
+        sigmas = np.abs(new.found.mean - held.found.mean) / np.hypot(new.found.sigma, held.found.sigma)
+        return bool(np.all(sigmas[new.outside] <= SURE_SIGMAS))
 
     def lens_moved(self, sigma: float) -> None:
         """The focal length has changed by about `sigma` (of its logarithm): it is as unsure as that from now on.
 
         A camera that was taken as its file has it gets states of its own.
         """
-        if self._camera is None and self._camera_file is not None:
-            self._camera, count = self._camera_file, camera_states.COUNT
-            self._estimates = [_with_certain_camera(e, count) for e in self._estimates]
-            self._squares, self._counts = np.pad(self._squares, (0, count)), np.pad(self._counts, (0, count))
-            self._weakened = np.pad(self._weakened, (0, count), constant_values=1.0)
-            self.unconfirmed = None
-        wider = np.zeros(len(self.platform.mean))
-        wider[STATES + camera_states.FOCAL_LENGTH] = sigma**2
-        self._estimates = [replace(e, covariance=e.covariance + np.diag(wider)) for e in self._estimates]
+        if len(self.platform.mean) == STATES:
+            self._estimates, self.unconfirmed = [e.with_camera() for e in self._estimates], None
+        wider = np.zeros_like(self.platform.covariance)
+        wider[FOCAL_LENGTH, FOCAL_LENGTH] = sigma**2
+        self._estimates = [replace(e, covariance=e.covariance + wider) for e in self._estimates]
 
     def lens_changed(self, camera: Camera, sigma: float) -> None:
         """The lens has been zoomed to this camera from the one that counted so far; `sigma` is how well that is known.
 
         What was found of the file's errors holds the less the farther the lens has gone. (21.2)
         """
-        before = self._camera_file
-        assert before is not None
-        if self._camera is None:
-            self.lens_moved(0.0)
-        apart = abs(float(np.log(camera.focal_px / before.focal_px)))
-        kept, wider = float(np.exp(-apart / ZOOM_REACH)), before.focal_px / camera.focal_px
-        scale = np.ones(len(self.platform.mean))
-        scale[STATES : STATES + camera_states.COUNT] = kept * np.array([1.0, wider, wider, 1.0, 1.0])
-        own = np.zeros(len(scale))
-        own[STATES : STATES + camera_states.COUNT] = np.square(camera.sigma)
-        reported = np.where(np.arange(len(scale)) == STATES + camera_states.FOCAL_LENGTH, sigma**2, 0.0)
-        first = self._estimates[0].covariance.copy()
-        lens = slice(STATES, STATES + camera_states.COUNT)
-        first[lens, lens] = np.diag((own + reported + camera_states.CERTAIN**2)[lens])
-        new = []
-        for e in self._estimates[1:]:
-            covariance = scale[:, None] * e.covariance * scale + np.diag((1.0 - kept**2) * own + reported)
-            most = np.where(own > 0.0, (own + reported) / np.diag(covariance), 1.0)
-            least = np.sqrt(np.minimum(most, 1.0))  # steps to and fro add no error of their own
-            given = None if e.given is None else np.where(own > 0.0, own + reported, e.given)
-            new.append(PlatformEstimate(e.end_ns, scale * e.mean, least[:, None] * covariance * least, given))
+        assert self._lens is not None
+        wider = self._lens.focal_px / camera.focal_px
+        kept = float(np.exp(-abs(np.log(wider)) / ZOOM_REACH))
+        self.lens_moved(0.0)  # which gives it states
+        self._lens, self.unconfirmed = camera, None
         begin = self._estimates[0]
-        self._estimates = [PlatformEstimate(begin.end_ns, scale * begin.mean, first, begin.given), *new]
-        self._camera_file, self.unconfirmed = camera, None
+        scale, own, reported = np.ones_like(begin.mean), np.zeros_like(begin.mean), np.zeros_like(begin.mean)
+        scale[LENS] = kept * np.array([1.0, wider, wider, 1.0, 1.0])
+        own[LENS] = np.square(camera.sigma)
+        reported[FOCAL_LENGTH] = sigma**2
+        most, grown = own + reported, np.diag((1.0 - kept**2) * own + reported)
+        first = begin.covariance.copy()
+        first[LENS, LENS] = np.diag(most[LENS] + camera_states.CERTAIN**2)
+        estimates = [replace(begin, mean=scale * begin.mean, covariance=first)]
+        for e in self._estimates[1:]:
+            assert e.given is not None
+            covariance = scale[:, None] * e.covariance * scale + grown
+            # Steps to and fro add no error of their own.
+            least = np.sqrt(np.where(own > 0.0, np.minimum(most / np.diag(covariance), 1.0), 1.0))
+            covariance = least[:, None] * covariance * least
+            estimates.append(PlatformEstimate(e.end_ns, scale * e.mean, covariance, np.where(own > 0.0, most, e.given)))
+        self._estimates = estimates
 
     @property
     def disagreement(self) -> Array:
         """(B,) factor on one sigma by which windows differ more than their covariances say; 1 if they agree."""
         mean_square = (AGREEMENT_PRIOR + self._squares) / (AGREEMENT_PRIOR + self._counts)
-        return np.sqrt(np.maximum(mean_square, 1.0))
+        return np.sqrt(np.maximum(mean_square, 1.0))[: len(self.platform.mean)]
 
     def _agreed(self, before: PlatformEstimate, mean: Array, covariance: Array) -> tuple[Array, Array]:
         """The posterior with all windows' information weakened by how far they disagree, this one's too. (6.13)"""
-        gained = np.diag(before.covariance - covariance)
-        tells = gained > MIN_GAIN * np.diag(before.covariance)
         if before.given is None:
             return mean, covariance  # held against what was declared, not against another window: (6.12) weighs that
+        count, known = len(mean), np.diag(before.covariance)
+        weakened, gained = self._weakened[:count], known - np.diag(covariance)
+        tells = gained > MIN_GAIN * known
         # By what the windows themselves claim: those before have been weakened already, where they disagreed.
-        claimed = gained * (1.0 - gained / np.diag(before.covariance) * (1.0 - self._weakened**-2))
-        self._squares += np.where(tells, (mean - before.mean) ** 2 / np.where(tells, claimed, 1.0), 0.0)
-        self._counts += tells
+        claimed = gained * (1.0 - gained / known * (1.0 - weakened**-2))
+        self._squares[:count][tells] += (mean - before.mean)[tells] ** 2 / claimed[tells]
+        self._counts[:count] += tells
         disagreement = self.disagreement
         if np.all(disagreement == 1.0):
             return mean, covariance
@@ -233,98 +240,48 @@ class Alignment:
         apart = np.square(own.directions * before.sigma[:, None]).T @ np.square(disagreement)
         # Which of two is the wrong one nothing says: those before have counted for too much by as much.
         most = np.maximum(self._estimates[0].sigma / before.sigma, 1.0)
-        grown = np.clip(disagreement / self._weakened, 1.0, most)
-        self._weakened = np.maximum(self._weakened, disagreement)
+        grown = np.clip(disagreement / weakened, 1.0, most)
+        self._weakened[:count] = np.maximum(weakened, disagreement)
         return own.weakened(apart).upon(before.mean, grown[:, None] * before.covariance * grown)
 
     def to_json(self) -> str:
         """The newest estimate, for the state directory."""
         newest = self.platform
-        camera: dict[str, Any] = {}
-        if self._camera is not None:
-            camera["camera"] = camera_states.as_numbers(self._camera, newest.mean[STATES:], self._readout_s)
-        return json.dumps(
-            {
-                "boresight_rad": newest.mean[BORESIGHT].tolist(),
-                "offset_s": float(newest.mean[OFFSET]),
-                "delay_s": float(newest.mean[DELAY]),
-                "velocity_delay_s": float(newest.mean[VELOCITY_DELAY]),
-                "heading_rad": newest.mean[HEADING].tolist(),
-                **camera,
-                "covariance": newest.covariance.tolist(),
-                "end_unix_ns": newest.end_ns,
-            },
-            indent=1,
-        )
+        found: dict[str, Any] = {key: newest.mean[at].tolist() for key, at in KEYS.items()}
+        if self._file is not None and len(newest.mean) > STATES:
+            found["camera"] = camera_states.as_numbers(self._file, newest.mean[STATES:], self._readout_s)
+        return json.dumps({**found, "covariance": newest.covariance.tolist(), "end_unix_ns": newest.end_ns}, indent=1)
 
     def restore(self, text: str) -> None:
         """Begin from the estimate of an earlier session; raises InputError if the text is not one.
 
-        Its sigma is widened to what may have happened on the ground: half of the first prior.
+        What it does not have is as in the first prior; what is taken as it is now (lens, readout) is left out. Its
+        sigma is widened to what may have happened on the ground: half of the first prior.
         """
         try:
             raw: dict[str, Any] = json.loads(text)
-            mean = np.array([*raw["boresight_rad"], raw["offset_s"]], float)
-            covariance = np.array(raw["covariance"], float)
-            if "delay_s" in raw:
-                mean = np.array([*mean, raw["delay_s"], raw["velocity_delay_s"], *raw["heading_rad"]], float)
-            if self._camera is not None and "camera" in raw:
-                states = camera_states.from_numbers(self._camera, raw["camera"], self._readout_s)
-                mean = np.array([*mean, *states[: len(self._estimates[0].mean) - STATES]])
-                covariance = covariance[: len(mean), : len(mean)]  # the readout may now be taken as it is
-            elif "camera" in raw:  # the camera file is now taken as it is
-                covariance = covariance[:STATES, :STATES]
+            states = [raw[key] for key in KEYS if key in raw]
+            if self._file is not None and "camera" in raw:
+                states.append(camera_states.from_numbers(self._file, raw["camera"], self._readout_s))
+            found, covariance = np.hstack(states).astype(float), np.array(raw["covariance"], float)
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(f"alignment state: not readable ({error})") from error
-        first = self._estimates[0].covariance
-        missing = len(first) - len(mean)
-        if missing < 0 or covariance.shape != (len(mean), len(mean)):
+        if covariance.shape != (len(found), len(found)):
             raise InputError("alignment state: wrong shape")
-        if missing:  # written before these were estimated
-            mean, covariance = np.pad(mean, (0, missing)), np.pad(covariance, (0, missing))
-            covariance[-missing:, -missing:] = first[-missing:, -missing:]
-        if not (np.all(np.isfinite(mean)) and np.all(np.isfinite(covariance))):
+        if not (np.all(np.isfinite(found)) and np.all(np.isfinite(covariance))):
             raise InputError("alignment state: not finite")
         if not np.allclose(covariance, covariance.T) or np.linalg.eigvalsh(covariance)[0] <= 0.0:
             raise InputError("alignment state: covariance is not positive definite")
-        self._estimates = [PlatformEstimate(0, mean, covariance + 0.25 * first)]
-
-
-def _outside(prior: PlatformEstimate, mean: Array, factor: Array | float = 1.0) -> NDArray[np.bool_]:
-    """(8,) which states are farther from the prior than its sigma, times a factor, allows for. (10.6)"""
-    out: NDArray[np.bool_] = np.abs(mean - prior.mean) > OUTLIER_SIGMAS * factor * prior.sigma
-    return out
-
-
-def _with_certain_camera(platform: PlatformEstimate, count: int) -> PlatformEstimate:
-    """The estimate with so many states of the camera, which are known to be 0."""
-    covariance = np.pad(platform.covariance, (0, count))
-    covariance[STATES:, STATES:] = camera_states.CERTAIN**2 * np.eye(count)
-    given = (
-        None if platform.given is None else np.pad(platform.given, (0, count), constant_values=camera_states.CERTAIN**2)
-    )
-    return PlatformEstimate(platform.end_ns, np.pad(platform.mean, (0, count)), covariance, given)
-
-
-def under_another_prior(
-    mean: Array, covariance: Array, given: PlatformEstimate, prior: PlatformEstimate
-) -> tuple[Array, Array]:
-    """The posterior that follows from `prior` where the window was solved under `given`.
-
-    What the window itself says, the precision C^-1 - given^-1 about its own mean, is put upon the other prior, which
-    may be tighter: no delay held open.
-    """
-    gained = Information.gained(mean, covariance, given.mean, given.covariance)
-    return gained.upon(prior.mean, prior.covariance)
+        first = self._estimates[0]
+        mean, before, count = first.mean.copy(), first.covariance.copy(), min(len(found), len(first.mean))
+        mean[:count], before[:count, :count] = found[:count], covariance[:count, :count]
+        self._estimates = [PlatformEstimate(0, mean, before + 0.25 * first.covariance)]
 
 
 def _with_prior_reweighed(estimate: PlatformEstimate, first: PlatformEstimate) -> PlatformEstimate:
     """The same posterior with the first prior's variance re-estimated from the data. Equation (6.12).
 
-    A mount that is three sigma from where it was declared biases every posterior towards the declaration. Where the
-    data alone are that far from it, the declared sigma was too small: the prior's variance becomes what makes the data
-    likeliest, never less than declared and never more than twice its sigma, because the data have unmodelled errors
-    too.
+    A mount that is three sigma from where it was declared biases every posterior towards the declaration.
     """
     assert estimate.given is not None
     precision = np.linalg.inv(estimate.covariance)

@@ -19,7 +19,7 @@ from contract.feature_set import Status
 from contract.rotations import exp_so3, log_so3
 from onboard.estimation import ground_weight, row_waves, window_problem
 from onboard.estimation.bundle_adjustment import Solution, solve
-from onboard.estimation.camera_states import CERTAIN, COUNT, FOCAL_LENGTH, K1
+from onboard.estimation.camera_states import COUNT, FOCAL_LENGTH, K1
 from onboard.estimation.factors import OWN_STATES, RATES, SHIFT, WAVES, ZOOM, State
 from onboard.estimation.information import with_own_variance
 from onboard.estimation.keyframe import have_attitude
@@ -237,15 +237,12 @@ def with_open_rows(window: WindowProblem, noise: Noise, solution: Solution) -> t
 
 def with_open_lens(request: Request) -> Request:
     """The request with focal length and k1 open, whatever the camera file claims."""
-    platform, taken = request.platform, request.camera_taken
-    mean, covariance = platform.mean, platform.covariance
-    if len(mean) == STATES:
-        mean, taken = np.concatenate([mean, np.zeros(COUNT)]), np.zeros(COUNT)
-        covariance = np.diag(np.full(len(mean), CERTAIN**2))
-        covariance[:STATES, :STATES] = platform.covariance
+    platform = request.platform.with_camera()
+    covariance = platform.covariance
     for state, sigma in OPEN_LENS.items():
         covariance = with_own_variance(covariance, STATES + state, sigma**2)
-    return replace(request, platform=replace(platform, mean=mean, covariance=covariance), camera_taken=taken)
+    taken = request.camera_taken if len(request.camera_taken) else np.zeros(COUNT)
+    return replace(request, platform=replace(platform, covariance=covariance), camera_taken=taken)
 
 
 def pixel_variance(solution: Solution) -> float:

@@ -16,11 +16,12 @@ from contract.camera import Camera, Sigma
 from contract.feature_set import Status
 from contract.rotations import mount_rotation
 from onboard.config.schema import Config
-from onboard.estimation.boresight import Alignment, PlatformEstimate, under_another_prior
+from onboard.estimation.boresight import Alignment, PlatformEstimate
 from onboard.estimation.camera_states import corrected, readout_s, taken, without_readout
 from onboard.estimation.clock_profile import ClockProfile
 from onboard.estimation.factors import RATES
 from onboard.estimation.ground_slope import GroundSlope, SlopePrior, SlopeSeen, seen_alone
+from onboard.estimation.information import Information
 from onboard.estimation.initialisation import follow
 from onboard.estimation.keyframe import Keyframe, Observation, seen_with, stamp_sigma_s
 from onboard.estimation.moved_optics import MOVED
@@ -300,7 +301,9 @@ class Window:
         solved_under = with_delays_held_open(self.config, self._solved_under or before)
         if RATES in layout.blocks:
             mean, covariance = without_readout(mean, covariance, solved_under.mean, solved_under.covariance)
-        mean, covariance = under_another_prior(mean, covariance, solved_under, before)
+        # What the window itself says is put upon the learned prior, which may be tighter: no delay held open.
+        gained = Information.gained(mean, covariance, solved_under.mean, solved_under.covariance)
+        mean, covariance = gained.upon(before.mean, before.covariance)
         if clock is not None:
             covariance[OFFSET, OFFSET] += clock.lacks(covariance[OFFSET, OFFSET], before.covariance[OFFSET, OFFSET])
         self.alignment.offer(start, end, mean, covariance)

@@ -100,9 +100,8 @@ def unconfirmed_of(found: Unconfirmed | None) -> tuple[Estimate, ...]:
     """What was found too far from the prior to be adopted before anything confirms it; empty if nothing was."""
     if found is None:
         return ()
-    every = estimates_of(PlatformEstimate(found.end_ns, found.mean, np.diag(np.square(found.sigma))))
-    outside = [bool(np.any(found.outside[at])) for _, at in present(len(found.mean))]
-    return tuple(e for e, is_outside in zip(every, outside, strict=True) if is_outside)
+    outside = [q.name for q, at in present(len(found.outside)) if np.any(found.outside[at])]
+    return tuple(e for e in estimates_of(found.found) if e.name in outside)
 
 
 def not_adopted(unconfirmed: Iterable[Estimate]) -> str:

@@ -11,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from contract.errors import InputError
-from onboard.estimation.boresight import MEMORY_ESTIMATES, Alignment, PlatformEstimate, under_another_prior
+from onboard.estimation.boresight import MEMORY_ESTIMATES, Alignment, PlatformEstimate
+from onboard.estimation.information import Information
 from onboard.estimation.platform_states import DELAY, OFFSET, STATES, VELOCITY_DELAY, WALK
 
 T0_NS = 1_795_217_000_000_000_000
@@ -332,7 +333,8 @@ def test_a_window_solved_under_a_looser_prior_says_no_more_than_it_saw() -> None
     for other in (prior, PlatformEstimate(2, -0.2 * seen, np.diag(0.1 * FIRST**2))):
         information = np.linalg.inv(other.covariance)
         expected = np.linalg.inv(information + tells)
-        mean, covariance = under_another_prior(*posterior(given), PlatformEstimate(1, prior.mean, given), other)
+        gained = Information.gained(*posterior(given), prior.mean, given)
+        mean, covariance = gained.upon(other.mean, other.covariance)
         assert mean / FIRST == pytest.approx(expected @ (information @ other.mean + tells @ seen) / FIRST, abs=1e-6)
         assert covariance / np.outer(FIRST, FIRST) == pytest.approx(expected / np.outer(FIRST, FIRST), abs=1e-6)
 
@@ -350,9 +352,8 @@ def test_windows_that_see_nothing_of_a_delay_leave_it_where_it_was() -> None:
         covariance = np.linalg.inv(np.linalg.inv(given) + tells)
         seen = np.where(np.arange(STATES) == DELAY, rng.standard_normal() / np.sqrt(little), 0.0)
         mean = platform.mean + covariance @ tells @ (seen - platform.mean)
-        platform = PlatformEstimate(
-            1, *under_another_prior(mean, covariance, PlatformEstimate(1, platform.mean, given), platform)
-        )
+        gained = Information.gained(mean, covariance, platform.mean, given)
+        platform = PlatformEstimate(1, *gained.upon(platform.mean, platform.covariance))
     # 100 times a hundredth of the first prior's information: as much again as it had.
     assert platform.sigma[DELAY] == pytest.approx(FIRST[DELAY] / np.sqrt(2.0), rel=1e-6)
     assert abs(platform.mean[DELAY]) < 2.5 * platform.sigma[DELAY]

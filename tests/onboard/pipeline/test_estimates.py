@@ -76,7 +76,8 @@ def test_the_summary_has_a_row_for_each_and_names_a_sensor_only_where_it_is_wors
 def test_what_is_not_confirmed_is_said_with_its_sigma_and_apart_from_what_is_used() -> None:
     mean, sigma = np.zeros(STATES), np.full(STATES, 0.1)
     mean[OFFSET], sigma[OFFSET] = 0.81, 0.12
-    found = unconfirmed_of(Unconfirmed(1, np.arange(STATES) == OFFSET, mean, sigma))
+    outside = np.arange(STATES) == OFFSET
+    found = unconfirmed_of(Unconfirmed(PlatformEstimate(1, mean, np.diag(np.square(sigma))), outside))
     assert [(e.name, e.values, e.sigmas) for e in found] == [
         ("camera_time_offset", (pytest.approx(0.81),), (pytest.approx(0.12),))
     ]
