@@ -1,10 +1,8 @@
 """How well a window's orientations fit the autopilot's attitudes at other time offsets than the one it was solved at.
 
-Relative to each other the orientations of a window's pictures follow from the pictures almost alone. Over 0.3 s of a
-roll the autopilot's attitude turns by 12 degrees and not evenly, and a copter's wobble changes its sign: (5.7)'s
-derivative, taken at the wrong offset, leads to a wrong minimum, or claims what is not there. The profile over whole
-offsets needs no derivative. It is no estimate: it decides where the next solve begins, and bounds what a window may
-teach. Equations (10.3) to (10.5) of docs/mathematics.md.
+(5.7)'s derivative, taken at the wrong offset, leads to a wrong minimum, or claims what is not there; the profile over
+whole offsets needs none. It is no estimate: it decides where the next solve begins, and bounds what a window may teach.
+Equations (10.3) to (10.5) of docs/mathematics.md.
 """
 
 from __future__ import annotations
@@ -38,24 +36,23 @@ class ClockProfile:
     best_s: float
     sigma_s: float
     kept_s: tuple[float, float] | None
+    compared_s: tuple[float, float] = (-np.inf, np.inf)  # the reach
 
     def rejects(self, offset_s: float) -> bool:
-        """Whether this offset cannot be right, and another is known to be."""
-        if self.kept_s is None:
+        """Whether this offset cannot be right, and another is known to be; nothing is known of one out of reach."""
+        if self.kept_s is None or not self.compared_s[0] <= offset_s <= self.compared_s[1]:
             return False
         return not self.kept_s[0] - NEAR_S < offset_s < self.kept_s[1] + NEAR_S
 
     def lacks(self, variance: float, before: float) -> float:
         """By how much a posterior variance (s^2) must grow, so that from the one before it gains no more than this."""
-        gained, shown = 1.0 / variance - 1.0 / before, 1.0 / max(self.sigma_s, STEP_S / 100.0) ** 2
-        return max(1.0 / (1.0 / before + min(gained, shown)) - variance, 0.0) if gained > 0.0 else 0.0
+        return max(before * self.sigma_s**2 / (before + self.sigma_s**2) - variance, 0.0)
 
 
 def offsets_about(offset_s: float, sigma_s: float) -> Array:
     """(T,) offsets to compare, about the one used."""
     steps = np.ceil(max(REACH_S, 2.0 * sigma_s) / STEP_S)
-    out: Array = offset_s + STEP_S * np.arange(-steps, steps + 1.0)
-    return out
+    return offset_s + STEP_S * np.arange(-steps, steps + 1.0)
 
 
 def clock_profile(R_cam_enu: Array, R_enu_cam: Array, offsets_s: Array, sigma_rad: Array) -> ClockProfile | None:
@@ -78,7 +75,8 @@ def clock_profile(R_cam_enu: Array, R_enu_cam: Array, offsets_s: Array, sigma_ra
     # Other offsets meet other errors of the attitudes: by so much costs scatter however equal the rotations are.
     chance = 2.0 * np.sqrt(freedoms)
     kept = offsets_s[excess < OUTLIER_SIGMAS * chance]
-    return ClockProfile(float(offsets_s[best]), sigma_s, (float(kept[0]), float(kept[-1])) if is_one_run else None)
+    kept_s = (float(kept[0]), float(kept[-1])) if is_one_run else None
+    return ClockProfile(float(offsets_s[best]), sigma_s, kept_s, (float(offsets_s[0]), float(offsets_s[-1])))
 
 
 def _costs(apart: Array, up_cam: Array, sigma_rad: Array) -> Array:

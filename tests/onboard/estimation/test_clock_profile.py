@@ -109,6 +109,16 @@ def test_an_offset_beyond_reach_is_not_guessed_at() -> None:
     assert found.kept_s is None
 
 
+def test_of_an_offset_that_was_not_compared_nothing_is_said() -> None:
+    """What was learned may lie farther from the offset used than the profile reaches."""
+    found = profile(0.2, used_s=0.1)
+    assert found is not None
+    assert found.rejects(-0.2)
+    assert found.rejects(0.55)
+    assert not found.rejects(-0.45)
+    assert not found.rejects(0.65)
+
+
 def test_three_pictures_are_too_few() -> None:
     assert profile(-0.3, pictures=3) is None
 
