@@ -7,34 +7,25 @@ source, (20.1): exact, and for any linear function of the window's camera side. 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 
 from contract.error_sources import Cause
-from onboard.estimation.factors import AttitudePrior, PositionPrior, Prior, RangePrior, SharedPrior, VelocityPrior
+from onboard.estimation.factors import Prior, RangePrior, SharedPrior
 from onboard.estimation.platform_states import PLANE, present
-from onboard.estimation.sensor_table import BY_NAME, POSITION, TILT, VELOCITY
-from onboard.estimation.sensor_table import HEADING as HEADING_SLOW
+from onboard.estimation.sensor_table import HEADING, POSITION, SENSORS, TILT, VELOCITY
 from onboard.estimation.solved_window import Solved
 
 Array = NDArray[np.float64]
 
-# What a part of a sensor's covariance is called, and what is left of the sensor's beyond its parts.
-PARTS = {
-    POSITION: Cause.GPS_SLOW,
-    BY_NAME[POSITION].white: Cause.GPS_WHITE,
-    VELOCITY: Cause.SPEED,
-    BY_NAME[VELOCITY].white: Cause.SPEED,
-    TILT: Cause.ATTITUDE_SLOW,
-    BY_NAME[TILT].white: Cause.ATTITUDE_WHITE,
-    HEADING_SLOW: Cause.HEADING_NOISE,
-    BY_NAME[HEADING_SLOW].white: Cause.HEADING_NOISE,
-}
-BEYOND_PARTS: dict[type[Prior], str] = {
-    PositionPrior: Cause.GPS_WHITE,
-    VelocityPrior: Cause.SPEED,
-    AttitudePrior: Cause.ATTITUDE_WHITE,
-    RangePrior: Cause.RANGE,
+# What a sensor's Gauss-Markov part is called, and what all the rest of its covariance is.
+CAUSES = {
+    POSITION: (Cause.GPS_SLOW, Cause.GPS_WHITE),
+    VELOCITY: (Cause.SPEED, Cause.SPEED),
+    TILT: (Cause.ATTITUDE_SLOW, Cause.ATTITUDE_WHITE),
+    HEADING: (Cause.HEADING_NOISE, Cause.HEADING_NOISE),
 }
 
 
@@ -46,43 +37,33 @@ def sources(solved: Solved, gain: Array) -> dict[str, Array]:
     """
     solution = solved.solution
     moved = gain @ solution.covariance  # by the right side of the reduced system, (20.1)
-    out: dict[str, Array] = {}
-    for prior in solved.priors:
-        _, J = prior.evaluate(solution.state)
-        _add(out, prior, moved @ J.T)
     by_ground = moved @ solution.ground_pull
-    _put(out, Cause.RELIEF, by_ground @ by_ground.T)
-    left = moved @ gain.T - sum(out.values(), np.zeros((len(gain), len(gain))))
-    _put(out, Cause.PIXELS, 0.5 * (left + left.T))
+    terms = [term for p in solved.priors for term in _terms(p, moved @ p.evaluate(solution.state)[1].T)]
+    terms.append((Cause.RELIEF, by_ground @ by_ground.T))
+    left = moved @ gain.T - sum(term for _, term in terms)
+    out: dict[str, Array] = {}
+    for name, term in (*terms, (Cause.PIXELS, 0.5 * (left + left.T))):
+        out[name] = out.get(name, np.zeros_like(term)) + term
     return out
 
 
-def _put(out: dict[str, Array], name: str, term: Array) -> None:
-    out[name] = out.get(name, np.zeros_like(term)) + term
-
-
-def _add(out: dict[str, Array], prior: Prior, by_noise: Array) -> None:
+def _terms(prior: Prior, by_noise: Array) -> Iterator[tuple[Cause, Array]]:
     """The terms of one prior, (20.2), from how far its whitened residuals' errors move things: (m, n)."""
     if isinstance(prior, SharedPrior):
-        held, factor = present(len(prior.mean) - PLANE), nearest_root(prior.whitener)
+        held = present(len(prior.mean) - PLANE)
         names = [*(q.source for q, _ in held for _ in range(q.components)), Cause.DATUM, Cause.SLOPE, Cause.SLOPE]
-        for column, name in zip((by_noise @ prior.whitener @ factor).T, names, strict=True):
-            _put(out, name, np.outer(column, column))
-        return
-    if isinstance(prior, RangePrior) or prior.parts is None:
-        _put(out, Cause.PATH if isinstance(prior, AttitudePrior) else BEYOND_PARTS[type(prior)], by_noise @ by_noise.T)
-        return
-    n = prior.whitener.shape[1]
-    for axis, (W, parts) in enumerate(zip(prior.whitener, prior.parts, strict=True)):
-        by_axis = by_noise[:, axis * n : (axis + 1) * n]
-        left = by_axis @ by_axis.T
-        for part, Q in parts.items():
+        columns = (by_noise @ prior.whitener @ nearest_root(prior.whitener)).T
+        yield from ((name, np.outer(column, column)) for name, column in zip(names, columns, strict=True))
+    elif isinstance(prior, RangePrior) or prior.parts is None:
+        yield Cause.RANGE if isinstance(prior, RangePrior) else Cause.PATH, by_noise @ by_noise.T
+    else:
+        n = prior.whitener.shape[1]
+        for axis, (W, parts) in enumerate(zip(prior.whitener, prior.parts, strict=True)):
+            sensor = next(s for s in SENSORS if isinstance(prior, s.residual) and axis in range(3)[s.axes])
+            by_axis = by_noise[:, axis * n : (axis + 1) * n]
             by_part = by_axis @ W
-            term = by_part @ Q @ by_part.T
-            _put(out, PARTS[part], term)
-            left = left - term
-        is_heading = isinstance(prior, AttitudePrior) and axis == 2
-        _put(out, Cause.HEADING_NOISE if is_heading else BEYOND_PARTS[type(prior)], left)
+            slow = by_part @ parts.get(sensor.name, np.zeros((n, n))) @ by_part.T  # none known while the sensor fails
+            yield from zip(CAUSES[sensor.name], (slow, by_axis @ by_axis.T - slow), strict=True)
 
 
 def nearest_root(whitener: Array) -> Array:

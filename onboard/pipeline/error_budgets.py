@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
+from contextlib import suppress
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,7 @@ class NewestBudget:
 
     def __init__(self) -> None:
         self.newest: Placed | None = None
-        self._computed: Placed | None = None
+        self._computed_ns = 0
         self._budget: Budget | None = None
 
     def __call__(self, placed: Placed) -> None:
@@ -36,24 +36,19 @@ class NewestBudget:
     def at(self, now_ns: int) -> Budget | None:
         """Of a click in the middle of the newest picture, again after `LONG_NS`: shares change with turns.
 
-        None without a new picture.
+        None without a new picture, and where its window's numbers cannot be split: it is an advice, and must not end a
+        flight.
         """
-        newest, computed = self.newest, self._computed
+        newest = self.newest
         if newest is None or now_ns - newest.feature_set.capture_unix_ns > 3 * LONG_NS:
             return None
-        stamp_ns = newest.feature_set.capture_unix_ns
-        if computed is None or stamp_ns - computed.feature_set.capture_unix_ns >= LONG_NS:
-            self._computed, self._budget = newest, self._of(newest)
+        if newest.feature_set.capture_unix_ns - self._computed_ns >= LONG_NS:
+            self._computed_ns, self._budget = newest.feature_set.capture_unix_ns, None
+            with suppress(np.linalg.LinAlgError):
+                budget = click_budget(newest)
+                if np.all(np.isfinite([budget.semi_major_m, *budget.shares.values()])):
+                    self._budget = budget
         return self._budget
-
-    @staticmethod
-    def _of(placed: Placed) -> Budget | None:
-        """None where the window's numbers cannot be split: it is an advice, and must not end a flight."""
-        try:
-            budget = click_budget(placed)
-        except np.linalg.LinAlgError:
-            return None
-        return budget if np.all(np.isfinite([budget.semi_major_m, *budget.shares.values()])) else None
 
 
 class BudgetWatch:
@@ -68,19 +63,14 @@ class BudgetWatch:
         """Take a picture; one that was kept before is replaced by its later revision."""
         s = placed.feature_set
         self._first_ns = self._first_ns or s.capture_unix_ns
-        minutes = (s.capture_unix_ns - self._first_ns) / 60e9
-        begun = [start for start, end in pairwise((*MINUTES, np.inf)) if start <= minutes < end]
-        kind = self._kind(placed)
-        if not begun or not kind:
-            return
-        held = self._kept.setdefault((begun[0], kind), placed)
-        if held.feature_set.frame == s.frame:
-            self._kept[begun[0], kind] = placed
-
-    def _kind(self, placed: Placed) -> str:
+        minute = max((m for m in MINUTES if s.capture_unix_ns - self._first_ns >= m * 60e9), default=None)
         down = (placed.pose.R_cam_enu.T @ self._R_body_cam.T)[2, 2]
         bank_deg = np.degrees(np.arccos(np.clip(-down, -1.0, 1.0)))
-        return "level" if bank_deg < LEVEL_DEG else "bank" if bank_deg > BANKED_DEG else ""
+        if minute is None or LEVEL_DEG <= bank_deg <= BANKED_DEG:
+            return
+        kind = minute, "level" if bank_deg < LEVEL_DEG else "bank"
+        if self._kept.setdefault(kind, placed).feature_set.frame == s.frame:
+            self._kept[kind] = placed
 
     def budgets(self) -> dict[str, Budget]:
         """A budget of a click in the middle of each picture that was kept, by what it is of."""

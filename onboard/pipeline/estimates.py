@@ -106,7 +106,7 @@ def unconfirmed_of(found: Unconfirmed | None) -> tuple[Estimate, ...]:
 
 def not_adopted(unconfirmed: Iterable[Estimate]) -> str:
     """The same in words: `time offset +0.810 +-0.120 s, camera to autopilot`; empty if nothing was."""
-    return "; ".join(f"{_label(e)} {_text(e)}" for e in unconfirmed)
+    return "; ".join(f"{_LABELS[e.name]} {_text(e)}" for e in unconfirmed)
 
 
 def relative_variance_of(relative: RelativeVariance) -> tuple[Estimate, ...]:
@@ -121,11 +121,8 @@ def relative_variance_of(relative: RelativeVariance) -> tuple[Estimate, ...]:
 
 def sensor_errors(config: Config, factors: VarianceFactors) -> tuple[SensorError, ...]:
     """Every part in the order of `sensor_table.PARTS`."""
-    out = []
-    for name, (key, unit) in PARTS.items():
-        declared = configured(config, key)
-        out.append(SensorError(name, unit, declared * factors.sigma(name), declared))
-    return tuple(out)
+    declared = [(name, unit, configured(config, key)) for name, (key, unit) in PARTS.items()]
+    return tuple(SensorError(name, unit, sigma * factors.sigma(name), sigma) for name, unit, sigma in declared)
 
 
 def larger_than_declared(errors: Iterable[SensorError]) -> str:
@@ -153,7 +150,7 @@ def as_rows(
     contradictions: Iterable[Contradiction] = (),
 ) -> list[tuple[str, str]]:
     """The same as rows of a summary: a name and a text each, angles in degrees."""
-    rows = [(_label(e), _text(e)) for e in estimates]
+    rows = [(_LABELS[e.name], _text(e)) for e in estimates]
     others = [
         ("sensor errors", larger_than_declared(errors)),
         ("not confirmed", not_adopted(unconfirmed)),
@@ -162,14 +159,11 @@ def as_rows(
     return [*rows, *((name, text) for name, text in others if text)]
 
 
-def _label(estimate: Estimate) -> str:
-    return next((q.label for q in QUANTITIES if q.name == estimate.name), "relative errors")
-
-
+_LABELS = {q.name: q.label for q in QUANTITIES} | {RELATIVE_VARIANCE: "relative errors"}
 # How each is written: a factor, decimals, and the words about its components.
 _TEXTS: dict[str, tuple[float, int, str]] = {
     BORESIGHT: (math.degrees(1.0), 2, "x {}, y {}, z {} deg, camera axes"),
-    "camera_time_offset": (1.0, 3, "{} s, camera to autopilot"),
+    TIME_OFFSET: (1.0, 3, "{} s, camera to autopilot"),
     "position_delay": (1.0, 3, "{} s off gps.latency_s"),
     "velocity_delay": (1.0, 3, "{} s off gps.latency_s"),
     "heading_error_by_heading": (math.degrees(1.0), 2, "{} deg times cos heading, {} deg times sin heading"),
