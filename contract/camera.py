@@ -215,7 +215,7 @@ class Camera:
         """How much larger a small area about undistorted coordinates (N, 2) becomes distorted, (N,): (2.2)'s
         determinant.
         """
-        _, along, cross = self._distorted(xy.T)
+        _, along, cross = self.linearised(xy.T)
         out: Array = along[0] * along[1] - cross * cross
         return out
 
@@ -263,7 +263,7 @@ class Camera:
             radius = np.hypot(*xy)
             if radius.max(initial=0.0) > limit:
                 xy = xy * np.minimum(limit / np.maximum(radius, 1e-12), 1.0)
-            there, along, cross = self._distorted(xy)
+            there, along, cross = self.linearised(xy)
             off = there - target
             det = along[0] * along[1] - cross * cross
             det = np.where(np.abs(det) < 0.05, 0.05, det)
@@ -275,7 +275,7 @@ class Camera:
         off = xy + self.displacement(xy) - target
         return xy, (np.hypot(*off) * self.focal_px < 1e-3) & (np.hypot(*xy) <= limit)
 
-    def _distorted(self, xy: Array) -> tuple[Array, Array, Array]:
+    def linearised(self, xy: Array) -> tuple[Array, Array, Array]:
         """(2.1) and (2.2) at once, of rows x, y (2, N): the distorted rows, and d x / d x and d y / d y (2, N) and
         d x / d y (N,) of the Jacobian, which is symmetric.
         """

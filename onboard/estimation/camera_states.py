@@ -1,9 +1,8 @@
 """What a camera file may be wrong about: focal length, principal point, radial distortion, estimated in flight.
 
 Five states, each counted from the camera file: the focal length's relative error, the principal point's shift (in focal
-lengths, x and y), and what k1 and k2 are larger by. Equations (15.1) and (15.2) of docs/mathematics.md. A sixth, where
-it is not known for sure, is what the readout of the rows takes longer than `camera.readout_s` says (s), see
-`rolling_shutter`.
+lengths, x and y), and what k1 and k2 are larger by, (15.1) and (15.2). A sixth, where it is not known for sure, is what
+the readout of the rows takes longer than `camera.readout_s` says (s), see `rolling_shutter`.
 """
 
 from __future__ import annotations
@@ -22,6 +21,7 @@ Array = NDArray[np.float64]
 FOCAL_LENGTH, K1, COUNT = 0, 3, 5  # focal length, principal point (x, y), k1, k2
 CERTAIN = 1e-6  # one sigma of a state that is taken to be 0
 READOUT = COUNT  # where that state is, if it is one
+NUMBERS = ("focal_px", "cx_px", "cy_px", "k1", "k2")  # of the camera in the state directory
 MIN_DETERMINANT = 0.05  # of the distortion's Jacobian: where it folds over, nothing is measured
 
 
@@ -55,10 +55,7 @@ def first_sigmas(camera: Camera | None, sigma_readout_s: float) -> tuple[float, 
 
 
 def without_readout(mean: Array, covariance: Array, given: Array, given_covariance: Array) -> tuple[Array, Array]:
-    """A posterior of which the readout, its last state, is what was given (if it is a state): it teaches nothing of it.
-
-    `mean` (B,), `covariance` (B, B); the states of the platform come before those of the camera.
-    """
+    """A posterior (B,), (B, B) of which the readout, if it is a state, is what was given: it teaches nothing of it."""
     if len(mean) <= STATES + READOUT:
         return mean, covariance
     covariance = with_own_variance(covariance, -1, given_covariance[-1, -1])
@@ -67,8 +64,7 @@ def without_readout(mean: Array, covariance: Array, given: Array, given_covarian
 
 def taken(states: Array) -> Array:
     """The states that rays were made with: pixels keep the time of their row, whatever the readout is."""
-    out: Array = np.where(np.arange(len(states)) == READOUT, 0.0, states)
-    return out
+    return np.where(np.arange(len(states)) == READOUT, 0.0, states)
 
 
 def by_states(camera: Camera, x: Array, y: Array) -> Array:
@@ -77,13 +73,11 @@ def by_states(camera: Camera, x: Array, y: Array) -> Array:
     `camera` is the one that they were computed with. The result has its two new axes first but one: x of shape (K, P)
     gives (K, 5, 2, P).
     """
-    k1, k2, p1, p2, k3 = camera.distortion
+    there, along, cross = camera.linearised(np.stack([x.ravel(), y.ravel()]))
     r2 = x * x + y * y
-    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
     out = np.zeros((len(x), COUNT, 2, x.shape[1]))
     # Of the distorted coordinates, minus what the distortion itself adds: both sides of (2.1) must stay equal.
-    out[:, 0, 0] = -(x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x))
-    out[:, 0, 1] = -(y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y)
+    np.negative(there.reshape(2, *x.shape).swapaxes(0, 1), out=out[:, 0])
     out[:, 1, 0] = -camera.focal_px / camera.fx_px
     out[:, 2, 1] = -camera.focal_px / camera.fy_px
     np.multiply(-r2, x, out=out[:, 3, 0])
@@ -91,14 +85,11 @@ def by_states(camera: Camera, x: Array, y: Array) -> Array:
     np.multiply(out[:, 3], r2[:, None], out=out[:, 4])
     if not any(camera.distortion):
         return out
-    slope = 2.0 * (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3))
-    cross = x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y
-    xx = radial + x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x
-    yy = radial + y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x
+    xx, yy, cross = (each.reshape(len(x), 1, -1) for each in (*along, cross))
     det = xx * yy - cross * cross
     det = np.where(np.abs(det) < MIN_DETERMINANT, MIN_DETERMINANT, det)
-    moved_x = (yy[:, None] * out[:, :, 0] - cross[:, None] * out[:, :, 1]) / det[:, None]
-    out[:, :, 1] = (xx[:, None] * out[:, :, 1] - cross[:, None] * out[:, :, 0]) / det[:, None]
+    moved_x = (yy * out[:, :, 0] - cross * out[:, :, 1]) / det
+    out[:, :, 1] = (xx * out[:, :, 1] - cross * out[:, :, 0]) / det
     out[:, :, 0] = moved_x
     return out
 
@@ -117,20 +108,13 @@ def seen_through(camera_file: Camera, camera: Camera, states: Array, xy: Array) 
 def as_numbers(camera: Camera, states: Array, configured_s: float = 0.0) -> dict[str, float]:
     """The corrected camera, for the state directory: what it is, not how far it is from a file that may be replaced."""
     c = corrected(camera, states)
-    out = {"focal_px": c.focal_px, "cx_px": c.cx_px, "cy_px": c.cy_px, "k1": c.distortion[0], "k2": c.distortion[1]}
+    out = dict(zip(NUMBERS, (c.focal_px, c.cx_px, c.cy_px, *c.distortion[:2]), strict=True))
     return {**out, "readout_s": configured_s + readout_s(states)} if len(states) > READOUT else out
 
 
 def from_numbers(camera: Camera, numbers: dict[str, float], configured_s: float = 0.0) -> Array:
     """The states (5,) or (6,) that make the file's camera such a one. Raises KeyError, TypeError, ValueError."""
-    focal_px = camera.focal_px
-    out = [
-        np.log(float(numbers["focal_px"]) / focal_px),
-        (float(numbers["cx_px"]) - camera.cx_px) / focal_px,
-        (float(numbers["cy_px"]) - camera.cy_px) / focal_px,
-        float(numbers["k1"]) - camera.distortion[0],
-        float(numbers["k2"]) - camera.distortion[1],
-    ]
-    if "readout_s" in numbers:
-        out.append(float(numbers["readout_s"]) - configured_s)
-    return np.array(out)
+    f, x, y, k1, k2 = (float(numbers[key]) for key in NUMBERS)
+    off = np.array([x - camera.cx_px, y - camera.cy_px]) / camera.focal_px
+    out = [np.log(f / camera.focal_px), *off, k1 - camera.distortion[0], k2 - camera.distortion[1]]
+    return np.array([*out, float(numbers["readout_s"]) - configured_s] if "readout_s" in numbers else out)
