@@ -34,24 +34,16 @@ ZOOM_REACH = 0.3  # of the focal length's logarithm, over which a zoom table's e
 MIN_GAIN = 0.02  # of a variance: a window that says less of a state is no evidence on it
 LENS = slice(STATES, STATES + camera_states.COUNT)
 FOCAL_LENGTH = STATES + camera_states.FOCAL_LENGTH
-# Keys of the state directory; older files lack those from the delays on.
-KEYS = {
-    "boresight_rad": BORESIGHT,
-    "offset_s": OFFSET,
-    "delay_s": DELAY,
-    "velocity_delay_s": VELOCITY_DELAY,
-    "heading_rad": HEADING,
-}
+# Of the state directory, in the order of the states; older files lack those from the delays on.
+TIMES = {"offset_s": OFFSET, "delay_s": DELAY, "velocity_delay_s": VELOCITY_DELAY}
+KEYS: dict[str, slice | int] = {"boresight_rad": BORESIGHT, **TIMES, "heading_rad": HEADING}
 
 
 @dataclass(frozen=True, eq=False)
 class PlatformEstimate:
-    """Mean (B,) and covariance (B, B) in the order of `platform_states`, from data up to `end_ns`.
+    """Mean (B,) and covariance (B, B) in the order of `platform_states`, from data up to `end_ns`."""
 
-    `end_ns` 0 is the prior before take-off.
-    """
-
-    end_ns: int
+    end_ns: int  # 0: before take-off
     mean: Array
     covariance: Array
     given: Array | None = None  # (B,) variances of the first prior that it still rests on; None: as configured
@@ -83,8 +75,7 @@ class PlatformEstimate:
 
     def is_outside(self, mean: Array, factor: Array | float = 1.0) -> Mask:
         """(B,) which states are farther from it than its sigma, times a factor, allows for. (10.6)"""
-        out: Mask = np.abs(mean - self.mean) > OUTLIER_SIGMAS * factor * self.sigma
-        return out
+        return np.abs(mean - self.mean) > OUTLIER_SIGMAS * factor * self.sigma
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,8 +89,7 @@ class Unconfirmed:
 class Alignment:
     """Keeps the posteriors of past windows; hands out the prior a window may use.
 
-    `unconfirmed`: the newest value that was too far from the prior to be adopted; None once it was confirmed,
-    or once another was adopted instead.
+    `unconfirmed`: the newest value that was too far from the prior to be adopted; None once any was adopted.
     """
 
     def __init__(

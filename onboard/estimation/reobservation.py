@@ -1,10 +1,8 @@
 """The same ground points in two windows without a common picture: how true the stated relative errors are.
 
-A point is followed over more pictures than the newest window's end and the next one's beginning have, so that two
-windows of which one ended before the other began still hold many of the same points. Their places must agree within the
-covariance of their difference. What a window is off by as a whole is a shift, turn and scale of its patch of ground;
-these seven are compared, (16.1) to (16.3). Over a flight their normalised squares say by how much the published
-variances are too small: `RelativeVariance`, (16.4). Section 16 of docs/mathematics.md.
+Their places must agree within the covariance of their difference. What a window is off by as a whole is a shift, turn
+and scale of its patch of ground; these seven are compared, (16.1) to (16.3). Over a flight their normalised squares say
+by how much the published variances are too small: `RelativeVariance`, (16.4). Section 16 of docs/mathematics.md.
 """
 
 from __future__ import annotations
@@ -24,8 +22,7 @@ Array = NDArray[np.float64]
 
 PARAMETERS = 7  # shift (3), turn (3) and scale of a patch of ground
 MIN_COMMON = 12
-# Effective degrees of freedom that "as stated" counts for: three windows' worth.
-PRIOR_COUNT = 21.0
+PRIOR_COUNT = 3.0 * PARAMETERS  # degrees of freedom that "as stated" counts for: three windows' worth
 MAX_RATIO = 30.0  # of one comparison's mean square, so that a single wrong window does not speak for the flight
 
 
@@ -61,55 +58,49 @@ class RelativeVariance:
         age_s = max(stamp_ns - self.stamp_ns, 0) / 1e9 if self.stamp_ns else 0.0
         keep = float(np.exp(-age_s / MEMORY_S))
         chi2 = min(agreement.chi2, MAX_RATIO * PARAMETERS * self.factor)
-        return RelativeVariance(
-            stamp_ns, keep * self.found + weight * chi2, keep * self.expected + weight * float(PARAMETERS)
-        )
+        return RelativeVariance(stamp_ns, keep * self.found + weight * chi2, keep * self.expected + weight * PARAMETERS)
 
 
 def agreement(earlier: Solved, later: Solved) -> Agreement | None:
     """Compare two windows by the points they have in common; None where these are too few.
 
-    The windows may have no picture in common: their measurements are then independent but for the slow errors, which
-    are correlated as (9.13) says.
+    Without a picture in common their measurements are independent but for the slow errors, (9.13).
     """
     one, two = earlier.common(later)
-    if len(one) < MIN_COMMON:
-        return None
-    X1, X2 = earlier.solution.state.points_enu_m[one], later.solution.state.points_enu_m[two]
-    own = earlier.solution.point_covariance[one] + later.solution.point_covariance[two]
-    difference = X2 - X1
-    while True:
-        fit, spread, basis, weight = _similarity(X1, difference, own)
+    while len(one) >= MIN_COMMON:
+        X = earlier.solution.state.points_enu_m[one]
+        difference = later.solution.state.points_enu_m[two] - X
+        own = earlier.solution.point_covariance[one] + later.solution.point_covariance[two]
+        fit, spread, basis, weight = _similarity(X, own)
         q = np.einsum("pij,pj->i", fit, difference)
         left = difference - basis @ q
         square = np.einsum("pi,pij,pj->p", left, weight, left)
         keep = square < OUTLIER_SIGMAS**2 * max(float(np.median(square)) / median_chi2(3), 1.0)
         if np.all(keep):
             break
-        if np.count_nonzero(keep) < MIN_COMMON:
-            return None
-        X1, difference, own, one, two = X1[keep], difference[keep], own[keep], one[keep], two[keep]
-    by_state1 = np.einsum("pij,pjd->id", fit, earlier.solution.point_gain[one])
-    by_state2 = np.einsum("pij,pjd->id", fit, later.solution.point_gain[two])
-    cov1 = by_state1 @ earlier.covariance_at(earlier.keyframes[-1].nav.stamp_ns) @ by_state1.T
-    cov2 = by_state2 @ later.covariance_at(later.keyframes[-1].nav.stamp_ns) @ by_state2.T
-    F1, F2 = by_state1 @ earlier.shared.by_nuisance, by_state2 @ later.shared.by_nuisance
+        one, two = one[keep], two[keep]
+    else:
+        return None
+    total, by_nuisance = spread, []
+    for window, at in ((earlier, one), (later, two)):
+        D = np.einsum("pij,pjd->id", fit, window.solution.point_gain[at])
+        total = total + D @ window.covariance_at(window.keyframes[-1].nav.stamp_ns) @ D.T
+        by_nuisance.append(D @ window.shared.by_nuisance)
     correlation = slow_error_correlations(earlier.shared, earlier.span_s, later.shared, later.span_s)
-    cross = (F1 * correlation) @ F2.T
-    total = spread + cov1 + cov2 - cross - cross.T
+    cross = (by_nuisance[0] * correlation) @ by_nuisance[1].T
+    total = total - cross - cross.T
     values, vectors = np.linalg.eigh(0.5 * (total + total.T))
     values = np.maximum(values, np.linalg.eigvalsh(spread)[0])  # never surer than the points' own noise allows
     chi2 = float(np.sum((vectors.T @ q) ** 2 / values))
     return Agreement(chi2, len(difference), float(np.linalg.norm(q[:3])))
 
 
-def _similarity(X: Array, difference: Array, own: Array) -> tuple[Array, Array, Array, Array]:
-    """Weighted fit of (16.1) to differences (P, 3) of covariances `own` (P, 3, 3): H, its covariance, B and weights.
-
-    Turn and scale are in metres at the patch's own radius.
+def _similarity(X: Array, own: Array) -> tuple[Array, Array, Array, Array]:
+    """Weighted fit of (16.1) to differences of points X (P, 3), of covariances `own` (P, 3, 3): H, its covariance, B
+    and weights. Turn and scale are in metres at the patch's own radius.
     """
     arm = X - X.mean(axis=0)
-    arm = arm / max(float(np.sqrt(np.mean(np.sum(arm * arm, axis=1)))), 1e-6)
+    arm = arm / np.sqrt(np.mean(np.sum(arm * arm, axis=1)))
     basis = np.concatenate([np.broadcast_to(np.eye(3), (len(X), 3, 3)), -skew(arm), arm[:, :, None]], axis=2)
     weight = np.linalg.inv(own)
     pull = basis.transpose(0, 2, 1) @ weight  # (P, 7, 3)

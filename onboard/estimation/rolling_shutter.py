@@ -7,7 +7,7 @@ picture by its image velocity since, which follows from the vehicle's rate and v
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,9 +41,8 @@ class Moving:
     def by_readout(self, xy: Array, share: Array) -> Array:
         """d place / d readout (N, 2) of places (N, 2) seen in rows of these shares (N,), over the assumed ground."""
         w = np.maximum(self.plane_per_m[0] + xy @ self.plane_per_m[1:], 0.0)
-        moved = image_velocity(xy[:, 0], xy[:, 1], w, self.rate_cam_rad_s, self.velocity_cam_m_s)
-        out: Array = np.stack(moved, axis=-1) * share[:, None]
-        return out
+        shutter = RollingShutter(self.readout_s, self.rate_cam_rad_s, self.velocity_cam_m_s)
+        return shutter.image_velocity(xy, w) * share[:, None]
 
     def for_ground(self, R_cam_enu: Array, readout_s: float, sigma_readout_s: float) -> RollingShutter:
         """What the set of this picture says of it. `sigma_readout_s`: beyond what its other errors hold."""
@@ -73,13 +72,11 @@ class Sweep:
         velocity = np.einsum("kij,kj->ik", R_cam_enu, self.velocity_enu_m_s)[:, :, None]
         rate = self.rate_cam_rad_s.T[:, :, None] * float(turns)
         moved = image_velocity(predicted[:, 0], predicted[:, 1], 1.0 / np.maximum(depth, 1e-6), rate, velocity)
-        out: Array = np.stack(moved, axis=1) * self.share[:, None]
-        return out
+        return np.stack(moved, axis=1) * self.share[:, None]
 
     def by_rate(self, predicted: Array) -> Array:
         """d x / d rate (K, 3, 2, P) of points predicted at (K, 2, P), in the time `scale_s`. (18.4)"""
-        out: Array = _by_turn(predicted) * (self.scale_s * self.share)[:, None, None]
-        return out
+        return _by_turn(predicted) * (self.scale_s * self.share)[:, None, None]
 
     def by_wave(self, predicted: Array) -> Array:
         """d x / d wave (K, 6, 2, P) of points predicted at (K, 2, P): about three axes by the cosine, then the sine
@@ -90,14 +87,9 @@ class Sweep:
         waves = (np.cos(phase)[:, None, None], np.sin(phase)[:, None, None])
         return np.concatenate([moved * wave for wave in waves], axis=1)
 
-    def vibrating(self, cycles: Array, sigma_rad: float) -> Sweep:
-        """The same with so many swings (K,) in each picture, by angles of one sigma."""
-        return replace(self, cycles=cycles, sigma_wave_rad=sigma_rad)
-
     def rates_in(self, readout_s: float, off: Array) -> Array:
         """The rates (K, 3) that move in another readout what these, with `off` (K, 3) found of them, move. (18.4)"""
-        out: Array = (self.readout_s * self.rate_cam_rad_s + self.scale_s * off) / readout_s
-        return out
+        return (self.readout_s * self.rate_cam_rad_s + self.scale_s * off) / readout_s
 
 
 def sigma_of_rates(moving: Sequence[Moving], rates_cam_rad_s: Array) -> float:
@@ -112,13 +104,7 @@ def sigma_of_rates(moving: Sequence[Moving], rates_cam_rad_s: Array) -> float:
 def _by_turn(predicted: Array) -> Array:
     """d x / d turn (K, 3, 2, P) of points predicted at (K, 2, P), as (18.2) has it for a rate."""
     x, y = predicted[:, 0], predicted[:, 1]
-    out: Array = np.stack([x * y, 1.0 + y * y, -1.0 - x * x, -x * y, y, -x], axis=1).reshape(len(x), 3, 2, -1)
-    return out
-
-
-def published_s(readout_s: float, *, has_rates: bool) -> float:
-    """A readout that rates can be stated in: they are estimated as what they move, which no rate does in no time."""
-    return float(np.copysign(max(abs(readout_s), LEAST_READOUT_S), readout_s)) if has_rates else readout_s
+    return np.stack([x * y, 1.0 + y * y, -1.0 - x * x, -x * y, y, -x], axis=1).reshape(len(x), 3, 2, -1)
 
 
 def rates_between(stamps_s: Array, R_cam_enu: Array) -> Array:
@@ -129,5 +115,4 @@ def rates_between(stamps_s: Array, R_cam_enu: Array) -> Array:
     before, after = np.maximum(np.arange(K) - 1, 0), np.minimum(np.arange(K) + 1, K - 1)
     # R_cam_enu(t + dt) = exp(-rate dt) R_cam_enu(t)
     turned = log_so3(R_cam_enu[before] @ R_cam_enu[after].transpose(0, 2, 1))
-    out: Array = turned / np.maximum(stamps_s[after] - stamps_s[before], 1e-3)[:, None]
-    return out
+    return turned / np.maximum(stamps_s[after] - stamps_s[before], 1e-3)[:, None]

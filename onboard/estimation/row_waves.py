@@ -35,13 +35,18 @@ class Waves:
     sigma_rad: float
 
 
-def found(residual: Array, weight: Array, share: Array) -> Waves | None:
-    """The vibration in residuals (K, 2, P), rad, of weight (K, P) 1 / rad, of rows at `share` (K, P); None if none is.
+def seen(problem: Problem, solution: Solution) -> Waves | None:
+    """The vibration in a solution's residuals, with what it has made a wave of; its rows must have been read in turn.
 
-    One wave in each picture, of any phase and amplitude in x and y; about as many swings in all of them.
+    One wave in each picture, of any phase and amplitude in x and y; about as many swings in all of them. None if it may
+    be chance.
     """
-    K = len(residual)
-    squared = weight**2
+    assert problem.sweep is not None
+    still = replace(solution.state, own=solution.state.own.copy())
+    still.own[:, problem.layout.part(WAVES)] = 0.0
+    weight = problem.weight * np.sqrt(solution.robust_weight)
+    residual = np.where(weight[:, None] > 0.0, image_residuals(problem, still), 0.0)
+    share, squared, K = problem.sweep.share, weight**2, len(weight)
     # Wrong rates and accelerations bend rows too, once: what a cubic of the row can be is no vibration.
     powers = np.stack([share**i for i in range(4)])
     normal = np.einsum("ikp,jkp,kp->kij", powers, powers, squared)
@@ -52,36 +57,23 @@ def found(residual: Array, weight: Array, share: Array) -> Waves | None:
     row = np.clip(((share + 0.5) * ROWS).astype(np.intp), 0, ROWS - 1) + ROWS * np.arange(K)[:, None]
     summed = (squared, squared * residual[:, 0], squared * residual[:, 1])
     held, *pull = (np.bincount(row.ravel(), each.ravel(), K * ROWS).reshape(K, ROWS) for each in summed)
-    total, twice = held.sum(axis=1)[None], _TABLE_TWICE @ held.T
+    total, twice = held.sum(axis=1), _TABLE_TWICE @ held.T  # (G, K)
     cc, ss, cs = 0.5 * (total + twice.real), 0.5 * (total - twice.real), 0.5 * twice.imag
-    along = np.stack([_TABLE @ each.T for each in pull], axis=2)  # (G, K, 2)
+    along = np.stack([_TABLE @ each.T for each in pull])  # (2, G, K)
     bc, bs = along.real, along.imag
-    determinant = np.maximum(cc * ss - cs * cs, 1e-9 * (cc * ss + 1e-12))[:, :, None]
-    a = (ss[:, :, None] * bc - cs[:, :, None] * bs) / determinant
-    b = (cc[:, :, None] * bs - cs[:, :, None] * bc) / determinant
-    gain = (a * bc + b * bs).sum(axis=2)  # (G, K) by how much the sum of squares falls
+    determinant = np.maximum(cc * ss - cs * cs, 1e-9 * (cc * ss + 1e-12))
+    # (G, K) by how much the sum of squares falls.
+    gain = ((ss * bc * bc - 2.0 * cs * bc * bs + cc * bs * bs) / determinant).sum(axis=0)
     together = gain.sum(axis=1)
     best = int(np.argmax(together))
     freedom = 2 * np.count_nonzero(weight) - 12 * K
     left = float((squared[:, None] * residual**2).sum() - together[best])
-    if freedom <= 4 * K or left <= 0.0:
-        return None
-    if together[best] * freedom / left < _chi_square(4 * K, CERTAIN):
+    if freedom <= 4 * K or left <= 0.0 or together[best] * freedom / left < _chi_square(4 * K, CERTAIN):
         return None
     near = np.abs(CYCLES - CYCLES[best]) <= DRIFT
     own = np.argmax(np.where(near[:, None], gain, -np.inf), axis=0)
     # A wave of one sigma along each axis, in cosine and sine, takes off twice its square for each feature.
     return Waves(CYCLES[own], float(np.sqrt(gain[own, np.arange(K)].sum() / (2.0 * squared.sum()))))
-
-
-def seen(problem: Problem, solution: Solution) -> Waves | None:
-    """The same in a solution's residuals, with what it has made a wave of; its rows must have been read in turn."""
-    assert problem.sweep is not None
-    still = replace(solution.state, own=solution.state.own.copy())
-    still.own[:, problem.layout.part(WAVES)] = 0.0
-    weight = problem.weight * np.sqrt(solution.robust_weight)
-    residual = np.where(weight[:, None] > 0.0, image_residuals(problem, still), 0.0)
-    return found(residual, weight, problem.sweep.share)
 
 
 def swing_rad(waves_rad: Array) -> float:

@@ -124,7 +124,7 @@ class WindowProblem:
         """The same with so much vibration in the pictures' rows, which must be read one after the other."""
         assert self.rows is not None
         window = self if WAVES in self.layout.blocks else self.with_block(WAVES)
-        return replace(window, rows=self.rows.vibrating(waves.cycles, waves.sigma_rad))
+        return replace(window, rows=replace(self.rows, cycles=waves.cycles, sigma_wave_rad=waves.sigma_rad))
 
 
 def from_request(request: Request) -> WindowProblem | Outcome:

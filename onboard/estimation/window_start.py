@@ -12,7 +12,7 @@ from onboard.estimation import camera_states, initialisation
 from onboard.estimation.factors import RATES, Layout, State
 from onboard.estimation.keyframe import Ids, Keyframe, have_attitude, swept, turned
 from onboard.estimation.platform_states import BORESIGHT
-from onboard.estimation.rolling_shutter import LEAST_READOUT_S, Sweep, published_s, rates_between, sigma_of_rates
+from onboard.estimation.rolling_shutter import LEAST_READOUT_S, Sweep, rates_between, sigma_of_rates
 from onboard.estimation.window_acceptance import MIN_POINTS
 from onboard.estimation.window_request import Request
 from onboard.geometry.plane_fit import fit_plane
@@ -88,7 +88,9 @@ def layout_of(request: Request, keyframes: tuple[Keyframe, ...], rows: Sweep | N
 def readout_of(request: Request, layout: Layout, state: State) -> float:
     """How long the rows take by a solution, s."""
     found_s = request.config.camera.readout_s + camera_states.readout_s(state.camera)
-    return published_s(found_s, has_rates=RATES in layout.blocks)
+    # Rates are estimated as what they move, which no rate does in no time.
+    least_s = LEAST_READOUT_S if RATES in layout.blocks else 0.0
+    return float(np.copysign(max(abs(found_s), least_s), found_s))
 
 
 def with_found_rates(

@@ -26,7 +26,7 @@ def vibrating(seed: int, swing_px: float) -> tuple[Problem, Sweep, Array]:
     """A problem whose pictures swing by so much (one sigma along each axis, as does each phase), its rows, and how."""
     drawn, sweep, xy = scene(seed)
     rng = np.random.default_rng(seed + 100)
-    sweep = sweep.vibrating(CYCLES, max(swing_px, 0.1) / CAMERA.focal_px)
+    sweep = replace(sweep, cycles=CYCLES, sigma_wave_rad=max(swing_px, 0.1) / CAMERA.focal_px)
     waves = swing_px / CAMERA.focal_px * rng.standard_normal((8, 6))
     predicted = drawn.problem.xy.transpose(0, 2, 1)
     moved = np.einsum("kcip,kc->kpi", sweep.by_wave(np.ascontiguousarray(predicted)), waves)
