@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtri
 
 from onboard.estimation.bundle_adjustment import Problem, Solution, image_residuals
 from onboard.estimation.factors import WAVES
@@ -22,9 +23,7 @@ ROWS = 256  # bands that a picture's rows are gathered into: thirteen to the sho
 _PHASE = 2.0 * np.pi * CYCLES[:, None] * ((np.arange(ROWS) + 0.5) / ROWS - 0.5)
 _TABLE, _TABLE_TWICE = np.exp(1j * _PHASE), np.exp(2j * _PHASE)
 DRIFT = 0.75  # swings by which one picture's may differ from the window's: engines change their speed
-# One-sided, of the normal distribution: one window in a million shows a wave as large by chance, at one place of the
-# search; it is searched at some twenty places that do not depend on each other.
-CERTAIN = 4.75
+FALSE_ALARM = 1e-6  # that chance shows as large a wave, at one of some twenty places that do not depend on each other
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +67,7 @@ def seen(problem: Problem, solution: Solution) -> Waves | None:
     best = int(np.argmax(together))
     freedom = 2 * np.count_nonzero(weight) - 12 * K
     left = float((squared[:, None] * residual**2).sum() - together[best])
-    if freedom <= 4 * K or left <= 0.0 or together[best] * freedom / left < _chi_square(4 * K, CERTAIN):
+    if freedom <= 4 * K or left <= 0.0 or together[best] * freedom / left < chdtri(4 * K, FALSE_ALARM):
         return None
     near = np.abs(CYCLES - CYCLES[best]) <= DRIFT
     own = np.argmax(np.where(near[:, None], gain, -np.inf), axis=0)
@@ -80,9 +79,3 @@ def swing_rad(waves_rad: Array) -> float:
     """One sigma (rad) by which waves (K, 6) move features along x or y; 0 for none (K, 0)."""
     across = waves_rad.reshape(-1, 2, 3)[:, :, :2]  # about the axis the camera looks along they move little
     return float(np.sqrt(np.mean(across**2))) if waves_rad.size else 0.0
-
-
-def _chi_square(freedom: int, z: float) -> float:
-    """What a chi-square exceeds as often as a normal variable exceeds `z`: Wilson and Hilferty's approximation."""
-    part = 2.0 / (9.0 * freedom)
-    return float(freedom * (1.0 - part + z * np.sqrt(part)) ** 3)
