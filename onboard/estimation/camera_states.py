@@ -74,10 +74,11 @@ def by_states(camera: Camera, x: Array, y: Array) -> Array:
     gives (K, 5, 2, P).
     """
     there, along, cross = camera.linearised(np.stack([x.ravel(), y.ravel()]))
+    there, along = (each.reshape(2, *x.shape).swapaxes(0, 1) for each in (there, along))  # (K, 2, P)
     r2 = x * x + y * y
     out = np.zeros((len(x), COUNT, 2, x.shape[1]))
     # Of the distorted coordinates, minus what the distortion itself adds: both sides of (2.1) must stay equal.
-    np.negative(there.reshape(2, *x.shape).swapaxes(0, 1), out=out[:, 0])
+    np.negative(there, out=out[:, 0])
     out[:, 1, 0] = -camera.focal_px / camera.fx_px
     out[:, 2, 1] = -camera.focal_px / camera.fy_px
     np.multiply(-r2, x, out=out[:, 3, 0])
@@ -85,13 +86,10 @@ def by_states(camera: Camera, x: Array, y: Array) -> Array:
     np.multiply(out[:, 3], r2[:, None], out=out[:, 4])
     if not any(camera.distortion):
         return out
-    xx, yy, cross = (each.reshape(len(x), 1, -1) for each in (*along, cross))
-    det = xx * yy - cross * cross
+    along, cross = along[:, None], cross.reshape(len(x), 1, 1, -1)
+    det = along.prod(axis=2, keepdims=True) - cross * cross
     det = np.where(np.abs(det) < MIN_DETERMINANT, MIN_DETERMINANT, det)
-    moved_x = (yy * out[:, :, 0] - cross * out[:, :, 1]) / det
-    out[:, :, 1] = (xx * out[:, :, 1] - cross * out[:, :, 0]) / det
-    out[:, :, 0] = moved_x
-    return out
+    return (along[:, :, ::-1] * out - cross * out[:, :, ::-1]) / det
 
 
 def seen_through(camera_file: Camera, camera: Camera, states: Array, xy: Array) -> tuple[Camera, Array, Array]:

@@ -86,12 +86,11 @@ def budget_text(budgets: dict[str, Budget]) -> str:
         {n for b in budgets.values() for n, share in b.shares.items() if share >= 0.005},
         key=lambda n: -max(b.shares.get(n, 0.0) for b in budgets.values()),
     )
-    names = {code: ABOUT[Cause(code)].name for code in codes}
-    width = max(len(n) for n in (*names.values(), "90 % ellipse, semi-axis"))
-    lines = [f"{'error budget of a click':<{width}}" + "".join(f"{title:>18}" for title in budgets)]
-    axes = "".join(f"{f'{b.semi_major_m:.1f} m':>18}" for b in budgets.values())
-    lines.append(f"{'90 % ellipse, semi-axis':<{width}}{axes}")
-    for code, name in names.items():
-        shares = "".join(f"{f'{100.0 * b.shares.get(code, 0.0):.0f} %':>18}" for b in budgets.values())
-        lines.append(f"{name:<{width}}{shares}")
+    axes = (f"{b.semi_major_m:.1f} m" for b in budgets.values())
+    rows = [("error budget of a click", *budgets), ("90 % ellipse, semi-axis", *axes)]
+    for code in codes:
+        shares = (f"{100.0 * b.shares.get(code, 0.0):.0f} %" for b in budgets.values())
+        rows.append((ABOUT[Cause(code)].name, *shares))
+    width = max(len(name) for name, *_ in rows)
+    lines = [f"{name:<{width}}" + "".join(f"{cell:>18}" for cell in cells) for name, *cells in rows]
     return "\n".join([*lines, *(f"{title}: {b.advice}" for title, b in budgets.items())])

@@ -171,12 +171,11 @@ _TEXTS: dict[str, tuple[float, int, str]] = {
     "principal_point_error": (100.0, 2, "x {}, y {} % of the focal length off the camera file"),
     "radial_distortion_error": (1.0, 3, "k1 {}, k2 {} off the camera file"),
     "readout_error": (1e3, 1, "{} ms off camera.readout_s"),
+    RELATIVE_VARIANCE: (1.0, 2, "variance {} of what was stated, by points seen again"),
 }
 
 
 def _text(estimate: Estimate) -> str:
-    pairs = list(zip(estimate.values, estimate.sigmas, strict=True))
-    if estimate.name == RELATIVE_VARIANCE:
-        return f"variance {pairs[0][0]:.2f} +-{pairs[0][1]:.2f} of what was stated, by points seen again"
     factor, decimals, words = _TEXTS[estimate.name]
-    return words.format(*(f"{factor * m:+.{decimals}f} +-{factor * s:.{decimals}f}" for m, s in pairs))
+    sign, pairs = "" if estimate.name == RELATIVE_VARIANCE else "+", zip(estimate.values, estimate.sigmas, strict=True)
+    return words.format(*(f"{factor * m:{sign}.{decimals}f} +-{factor * s:.{decimals}f}" for m, s in pairs))
