@@ -236,7 +236,7 @@ def _last_status(pipeline: Pipeline, newest: NewestBudget) -> VehicleStatus | No
         return None
     s = newest.newest.feature_set
     budget = newest.at(s.capture_unix_ns)
-    tracks = 0 if pipeline.tracks is None else len(pipeline.tracks)
+    tracks = len(pipeline.tracks)
     shares = {} if budget is None else budget.percent
     return VehicleStatus(s.capture_unix_ns / 1e9, s.session, "ok", frame=s.frame, tracks=tracks, shares=shares)
 

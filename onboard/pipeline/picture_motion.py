@@ -16,7 +16,7 @@ from onboard.geometry.plane_homography import Pose, fit_homography, move, pixel_
 from onboard.navigation.attitude_interpolation import RATE_WINDOW_NS
 from onboard.navigation.limits import MEMORY_NS, RECENT_NS
 from onboard.navigation.navigator import Navigation, NavState
-from onboard.pipeline.shortfall import Break
+from onboard.pipeline.statistics import Break
 from onboard.vision.klt_tracker import Tracks
 
 Array = NDArray[np.float64]

@@ -7,9 +7,11 @@ and as well as they ever are.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 from contract.feature_set import Status
 from onboard.config.schema import Config
@@ -27,25 +29,19 @@ class Record:
     """A picture that the window can still place, or place better."""
 
     frame: Frame
-    seen_when_asked: Observation | Callable[[], Observation]  # features are undistorted when the picture is placed
+    look: Callable[[], Observation]
     nav: NavState
-    is_keyframe: bool
+    is_keyframe: bool = False
     status: Status = Status.STARTING
     revision: int = -1
     is_settled: bool = False
     is_for_later: bool = False  # its only set is the one that it is settled with
     placed: Placed | None = None  # as it was last, by the window's own points: where the next revision starts
 
-    @property
+    @cached_property
     def seen(self) -> Observation:
-        """What the picture saw."""
-        if not isinstance(self.seen_when_asked, Observation):
-            self.seen_when_asked = self.seen_when_asked()
-        return self.seen_when_asked
-
-    @seen.setter
-    def seen(self, seen: Observation) -> None:
-        self.seen_when_asked = seen
+        """What the picture saw: its features are undistorted when it is placed, and again by a newer calibration."""
+        return self.look()
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,49 +57,31 @@ class Pending:
 class RecordBook:
     """Records in the order of capture, and two queues of them: to be placed, and to be placed for the last time."""
 
-    def __init__(self) -> None:
+    def __init__(self, config: Config) -> None:
         self.records: list[Record] = []
-        self.unplaced: deque[Record] = deque()  # the newest is placed first
+        self.unplaced: list[Record] = []  # the newest is placed first
         self.settling: deque[Record] = deque()  # the oldest is settled first
-
-    def add(self, record: Record) -> None:
-        """A picture that the window can place from now on."""
-        self.records.append(record)
+        self._interval_ns = round(1e9 / (PLACED_A_SET * config.link.max_rate_hz))
+        self._newest_ns: int | None = None  # that was placed at once; None: the last one could not be
 
     def queue(self, frames: Sequence[int], behind: int) -> None:
         """After a solve of keyframes `frames`: what has no set yet, and what lies `behind` or more keyframes back.
 
         Settled pictures before the window are forgotten.
         """
-        self.unplaced = deque(r for r in self.records if r.status is not Status.OK and not r.is_for_later)
-        passed = len(frames) - 1 - behind
-        if passed >= 0:
-            queued = set(map(id, self.settling))
-            found = [r for r in self.records if r.frame.index <= frames[passed] and not r.is_settled]
-            self.settling.extend(r for r in found if id(r) not in queued)
+        self.unplaced = [r for r in self.records if r.status is not Status.OK and not r.is_for_later]
+        if len(frames) > behind:
+            passed = (r for r in self.records if r.frame.index <= frames[-1 - behind])
+            self.settling = deque(r for r in passed if not r.is_settled)
         self.records = [r for r in self.records if r.frame.index > frames[0] or not r.is_settled]
 
-    def take_all(self) -> list[Record]:
-        """All records; the book is empty then."""
-        records, self.records = self.records, []
+    def take(self, before: float = math.inf) -> list[Record]:
+        """The records of pictures `before` one, which begins the book again with those after it; by default all."""
+        taken = [r for r in self.records if r.frame.index < before]
+        self.records = self.records[len(taken) :]
         self.settling.clear()
         self.unplaced.clear()
-        return records
-
-    def take_before(self, record: Record) -> list[Record]:
-        """The records before one, which begins the book again with those after it."""
-        rest = [record, *(r for r in self.records if r.frame.index > record.frame.index)]
-        before = [r for r in self.take_all() if r.frame.index < record.frame.index]
-        self.records = rest
-        return before
-
-
-class FirstPlacing:
-    """Remembers the newest picture that was placed at once."""
-
-    def __init__(self, config: Config) -> None:
-        self._interval_ns = round(1e9 / (PLACED_A_SET * config.link.max_rate_hz))
-        self._newest_ns: int | None = None  # None: the last one could not be placed
+        return taken
 
     def may_wait(self, stamp_ns: int, has_newer: bool) -> bool:
         """Whether a picture's first set may be its last. `has_newer`: a newer one can be placed with what has come.
@@ -113,6 +91,6 @@ class FirstPlacing:
         newest_ns = self._newest_ns
         return newest_ns is not None and (has_newer or 0 <= stamp_ns - newest_ns < self._interval_ns)
 
-    def note(self, stamp_ns: int, is_placed: bool) -> None:
+    def note_first(self, stamp_ns: int, is_placed: bool) -> None:
         """What became of a picture that did not wait."""
         self._newest_ns = stamp_ns if is_placed else None

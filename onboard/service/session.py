@@ -306,7 +306,7 @@ class Session:
             return
         self._snapshot_at_ns = now_ns
         self._summary = pipeline.summary
-        self._tracks = 0 if pipeline.tracks is None else len(pipeline.tracks)
+        self._tracks = len(pipeline.tracks)
         alignment = pipeline.window.alignment
         if alignment.updates:
             self._learned = alignment.to_json()

@@ -15,7 +15,7 @@ from contract.locate import Locator
 from contract.wire.codec import encode
 from onboard.config.schema import parse_config
 from onboard.events.types import Frame
-from onboard.pipeline.record_book import PLACED_A_SET, FirstPlacing
+from onboard.pipeline.record_book import PLACED_A_SET, RecordBook
 from tests.onboard.pipeline.test_pipeline import BRISK, Session, flown, solved_at_once
 
 pytestmark = pytest.mark.xdist_group("pipeline")
@@ -118,10 +118,10 @@ def test_what_waits_when_navigation_is_lost_is_placed_before_all_is_forgotten(sl
 
 
 def test_refusals_do_not_wait() -> None:
-    first = FirstPlacing(parse_config(f"[link]\nmax_rate_hz = {MAX_RATE_HZ}"))
-    assert not first.may_wait(0, has_newer=True)
-    first.note(0, is_placed=True)
-    assert first.may_wait(1, has_newer=False) and first.may_wait(2 * INTERVAL_NS, has_newer=True)
-    assert not first.may_wait(INTERVAL_NS, has_newer=False)
-    first.note(INTERVAL_NS, is_placed=False)
-    assert not first.may_wait(INTERVAL_NS + 1, has_newer=True)
+    book = RecordBook(parse_config(f"[link]\nmax_rate_hz = {MAX_RATE_HZ}"))
+    assert not book.may_wait(0, has_newer=True)
+    book.note_first(0, is_placed=True)
+    assert book.may_wait(1, has_newer=False) and book.may_wait(2 * INTERVAL_NS, has_newer=True)
+    assert not book.may_wait(INTERVAL_NS, has_newer=False)
+    book.note_first(INTERVAL_NS, is_placed=False)
+    assert not book.may_wait(INTERVAL_NS + 1, has_newer=True)
