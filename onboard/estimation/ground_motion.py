@@ -1,10 +1,9 @@
 """Ground that moves as a whole (water): how it is detected, and what it does to a solution. Equations (6.8) to (6.10).
 
-A pattern that drifts at a constant velocity looks exactly like solid ground seen from an aircraft of another velocity:
-no residual shows it, and the scene comes out too large or too small. But waves are many patterns at once, and long ones
-are faster than short ones, so that over water the flow measured at coarse resolution differs from the flow measured at
-fine resolution. Over solid ground the two agree, however blurred or noisy the pictures are. Their disagreement says how
-fast the ground may move, and the covariances allow for it.
+A pattern that drifts at a constant velocity looks exactly like solid ground seen from an aircraft of another velocity.
+But long waves are faster than short ones: over water the flow at coarse resolution differs from that at fine
+resolution, over solid ground the two agree, however blurred or noisy the pictures are. Their disagreement determines
+how fast the ground may move, and the covariances allow for it.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.estimation.factors import PositionPrior, Prior, State, VelocityPrior
+from onboard.estimation.factors import PathPrior, Prior, State
 from onboard.estimation.keyframe import Keyframe
 
 Array = NDArray[np.float64]
@@ -34,7 +33,6 @@ class GroundMotion:
     Points and poses are those of the instant a picture was taken, so the effect is linear in that instant.
     """
 
-    sigma_m_s: float
     epoch_ns: int
     at_epoch: Array  # (D, 2)
     per_s: Array  # (D, 2)
@@ -48,14 +46,12 @@ class GroundMotion:
 
 def ground_sigma_m_s(keyframes: Sequence[Keyframe], depth_m: float) -> float:
     """One sigma per axis, m/s, of the ground's own motion, from the disagreement of coarse and fine flow. (6.8)"""
-    speeds = [
-        float(np.linalg.norm(k.flow_disagreement_xy))
-        * depth_m
-        / max((k.nav.stamp_ns - before.nav.stamp_ns) / 1e9, 1e-3)
+    speeds_m_s = [
+        k.flow_disagreement_xy * depth_m / max((k.nav.stamp_ns - before.nav.stamp_ns) / 1e9, 1e-3)
         for before, k in pairwise(keyframes)
         if k.flow_disagreement_xy is not None
     ]
-    return MOTION_PER_SLIP * float(np.sqrt(np.mean(np.square(speeds)))) if speeds else 0.0
+    return MOTION_PER_SLIP * float(np.linalg.norm(speeds_m_s) / np.sqrt(max(len(speeds_m_s), 1)))
 
 
 def ground_motion(
@@ -68,17 +64,11 @@ def ground_motion(
     """
     epoch_ns = keyframes[-1].nav.stamp_ns
     stamps = np.array([(k.nav.stamp_ns - epoch_ns) / 1e9 for k in keyframes])
-    K, D = len(keyframes), len(covariance)
-    at_epoch, per_s = np.zeros((D, 2)), np.zeros((D, 2))
+    drift = np.column_stack([stamps, -np.ones(len(stamps))])  # of places, over speed: at the epoch, and a second later
+    pull = np.zeros((len(covariance), 2, 2))
     for prior in priors:
-        if isinstance(prior, PositionPrior):
-            J = prior.evaluate(state)[1].reshape(3, K, D)
-            for axis in (0, 1):
-                pull = J[axis].T @ prior.whitener[axis]
-                at_epoch[:, axis] += pull @ stamps
-                per_s[:, axis] -= pull.sum(axis=1)
-        elif isinstance(prior, VelocityPrior):
-            J = prior.evaluate(state)[1].reshape(3, K - 1, D)
-            for axis in (0, 1):
-                at_epoch[:, axis] += J[axis].T @ prior.whitener[axis] @ np.diff(stamps)
-    return GroundMotion(sigma_m_s, epoch_ns, sigma_m_s * covariance @ at_epoch, sigma_m_s * covariance @ per_s)
+        if isinstance(prior, PathPrior):
+            J = prior.evaluate(state)[1].reshape(len(prior.whitener), -1, len(covariance))[:2]
+            pull += np.einsum("and,anm,mt->dat", J, prior.whitener[:2], prior.of_places(drift))
+    gain = sigma_m_s * np.einsum("de,eat->tda", covariance, pull)
+    return GroundMotion(epoch_ns, gain[0], gain[1])

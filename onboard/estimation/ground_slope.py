@@ -1,10 +1,8 @@
 """How much the ground slopes where a window is, from what windows elsewhere have found. Section 14 of mathematics.md.
 
-Pictures and positions show the slope along the track; the slope across a straight track shows in nothing but an
-attitude. So "the ground is level" is a prior. Its sigma is not declared once and for all: slope is a field over the
-ground, whose scale and correlation length the flight's own windows tell, each by what it alone saw of its slope. Where
-a turn or a leg across has seen the slope nearby, the prior is that slope, and narrow; where nothing has, it is level
-ground with the declared sigma or what the slopes seen elsewhere show it to be.
+The slope across a straight track shows in nothing but an attitude, so "the ground is level" is a prior. Where a turn or
+a leg across has seen the slope nearby, the prior is that slope, and narrow; where nothing has, it is level ground with
+the declared sigma or what the slopes seen elsewhere show it to be.
 """
 
 from __future__ import annotations
@@ -13,6 +11,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
+from scipy.special import softmax
 
 from onboard.estimation.factors import SharedPrior
 from onboard.estimation.information import Information, with_own_variance
@@ -78,9 +78,7 @@ class GroundSlope:
         if not seen:
             return SlopePrior(np.zeros(2), self.sigma**2 * np.eye(2))
         slopes = np.concatenate([s.slope for s in seen])
-        noise = np.zeros((len(slopes), len(slopes)))
-        for k, s in enumerate(seen):
-            noise[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = s.covariance
+        noise = block_diag(*(s.covariance for s in seen))
         places = np.stack([s.place_enu_m for s in seen])
         apart_m = np.linalg.norm(places[:, None] - places, axis=2)
         away_m = np.linalg.norm(places - place_enu_m, axis=1)
@@ -95,12 +93,11 @@ class GroundSlope:
             logs.append(-0.5 * half[:, 0] @ half[:, 0] - np.log(np.diag(factor)).sum())
             means.append(half[:, 1:].T @ half[:, 0])
             covariances.append(scale * self.sigma**2 * np.eye(2) - half[:, 1:].T @ half[:, 1:])
-        weight = np.exp(np.array(logs) - max(logs))
-        weight /= weight.sum()
+        weight = softmax(logs)
         mean = weight @ np.stack(means)
-        off = np.stack(means) - mean
-        within = np.einsum("l,lij->ij", weight, np.stack(covariances))
-        return SlopePrior(mean, within + np.einsum("l,li,lj->ij", weight, off, off))
+        between = np.stack(means) - mean
+        each = np.stack(covariances) + between[:, :, None] * between[:, None]
+        return SlopePrior(mean, np.einsum("l,lij->ij", weight, each))
 
 
 def _scale(correlation: Array, noise: Array, slopes: Array) -> float:
@@ -118,15 +115,13 @@ def _scale(correlation: Array, noise: Array, slopes: Array) -> float:
 def seen_alone(prior: SharedPrior, shared: Array, covariance: Array) -> tuple[Array, Array]:
     """A window's own estimate of its ground's slope (2,) and covariance (2, 2), whatever the prior said. (14.1)
 
-    `shared` (S,) and `covariance` (S, S) are the posterior of the shared states, `prior` theirs. Nothing is
-    assumed of the slope, and nothing of the mount: its error is the same in all windows, and across a straight track
-    it would be taken for the ground's slope.
+    `shared` (S,) and `covariance` (S, S) are the posterior of the shared states, `prior` theirs. Nothing is assumed of
+    the slope, and nothing of the mount, whose error would be taken for the slope across every straight track.
     """
-    given: Array = np.asarray(np.linalg.inv(prior.whitener.T @ prior.whitener), np.float64)
     slope = slice(len(shared) - 2, len(shared))
-    loose = with_own_variance(given, BORESIGHT, NO_MOUNT_PRIOR_RAD**2)
+    given: Array = np.asarray(np.linalg.inv(prior.whitener.T @ prior.whitener), np.float64)
+    loose = with_own_variance(with_own_variance(given, BORESIGHT, NO_MOUNT_PRIOR_RAD**2), slope, NO_SLOPE_PRIOR**2)
     mean = prior.mean.copy()
     mean[slope] = 0.0
-    gained = Information.gained(shared, covariance, prior.mean, given)
-    estimate, alone = gained.upon(mean, with_own_variance(loose, slope, NO_SLOPE_PRIOR**2))
+    estimate, alone = Information.gained(shared, covariance, prior.mean, given).upon(mean, loose)
     return estimate[slope], alone[slope, slope]
