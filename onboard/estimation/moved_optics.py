@@ -10,9 +10,9 @@ are rates and vibration of rows read one after the other, declared or not: they 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from contract.feature_set import Status
@@ -24,14 +24,11 @@ from onboard.estimation.factors import OWN_STATES, RATES, SHIFT, WAVES, ZOOM, St
 from onboard.estimation.information import with_own_variance
 from onboard.estimation.keyframe import have_attitude
 from onboard.estimation.platform_states import STATES
-from onboard.estimation.second_start import by_attitude
+from onboard.estimation.second_start import by_attitude, cost_by_point
 from onboard.estimation.sensor_groups import contradictions, innovations
 from onboard.estimation.sensor_table import HEADING, TILT
-from onboard.estimation.window_problem import FIRST_SCALE, WindowProblem, approximate
-from onboard.estimation.window_request import Noise, Request, Weighed
-from onboard.geometry.robust import robust_cost
-
-Array = NDArray[np.float64]
+from onboard.estimation.window_problem import WindowProblem, approximate
+from onboard.estimation.window_request import Noise, Outcome, Request, Weighed
 
 MOVED = (Status.STABILISED, Status.ZOOMED)
 FALSE_ALARM = 1e-9  # that chance makes as much of a hypothesis
@@ -51,38 +48,24 @@ class Excess:
     variance: float  # of the pixels under the hypothesis, in the one they were weighted by; at least 1
 
     @property
-    def is_beyond_chance(self) -> bool:
-        """Whether so many states of nothing would not fall by as much."""
-        return self.gain > float(chdtri(self.freedom, FALSE_ALARM))
-
-    @property
     def evidence(self) -> float:
         """What is left of the gain after what chance is expected to make of it."""
         return self.gain - self.freedom
 
-    def over(self, evidence: float) -> Excess:
-        """What is left of it where something else explains as much as this."""
-        return replace(self, gain=self.gain - max(evidence, 0.0))
+    def exceeds_chance(self, explained: float = 0.0) -> bool:
+        """Whether so many states of nothing would not fall by what something else has not `explained`. (19.3)"""
+        return self.gain - explained > float(chdtri(self.freedom, FALSE_ALARM))
 
 
-@dataclass(frozen=True, eq=False)
-class Change:
-    """What the optics did in a window: status and reason of its refusal."""
-
-    status: Status
-    reason: str
-    lens_moved: float = 0.0  # by about so much of the focal length's logarithm
-
-
-def found(window: WindowProblem, weighed: Weighed) -> Change | None:
-    """What changed between the pictures of a window; None if nothing did. `weighed` is its first adjustment."""
+def found(window: WindowProblem, weighed: Weighed) -> Outcome | None:
+    """The refusal of a window in which the optics changed; None if nothing did. `weighed` is its first adjustment."""
     groups, has_attitude = weighed.noise.factors.groups, have_attitude(window.keyframes)
     s = weighed.solution
     against = contradictions(innovations(weighed.priors, s.state, s.covariance, groups, has_attitude))
     is_turned = has_attitude and any(i.group in (TILT, HEADING) for i in against)
     each, common = zoom_scores(window, weighed)
-    is_file_doubted = common.is_beyond_chance and not window.layout.camera_states
-    if not is_turned and not is_file_doubted and not each.is_beyond_chance:
+    is_file_doubted = common.exceeds_chance() and not window.layout.camera_states
+    if not is_turned and not is_file_doubted and not each.exceeds_chance():
         return None
     hypotheses = Hypotheses(window, weighed)
     excess = {ZOOM: hypotheses.with_block(ZOOM)}
@@ -92,22 +75,23 @@ def found(window: WindowProblem, weighed: Weighed) -> Change | None:
     if cause == SHIFT:
         excess[ATTITUDE] = max(excess[ATTITUDE], hypotheses.turned_instead(), key=lambda e: e.gain)
         cause = max(excess, key=lambda name: excess[name].evidence)
-    next_best = max((e.evidence for name, e in excess.items() if name != cause), default=0.0)
-    is_sure = excess[cause].over(next_best).is_beyond_chance and excess[cause].variance < MAX_VARIANCE
+    next_best = max([0.0, *(e.evidence for name, e in excess.items() if name != cause)])
+    is_sure = excess[cause].exceeds_chance(next_best) and excess[cause].variance < MAX_VARIANCE
+    refused = partial(Outcome, keyframes=window.keyframes, noise=window.request.noise, weighed=weighed)
     if cause == ZOOM and is_sure:
-        moved = hypotheses.zoomed_by
+        moved = float(np.ptp(hypotheses.solved[ZOOM].state.own[:, -1]))
         reason = f"the lens zoomed or refocused: by {np.expm1(moved):.1%} within the window"
-        return Change(Status.ZOOMED, reason, moved)
+        return refused(Status.ZOOMED, reason=reason, lens_moved=moved)
     # A frame that is shifted to hide a rotation contradicts the attitude; one that does not has hidden nothing.
     if cause == SHIFT and is_sure and is_turned:
-        return Change(Status.STABILISED, "the frame is shifted from picture to picture (stabilisation)")
+        return refused(Status.STABILISED, reason="the frame is shifted from picture to picture (stabilisation)")
     # A lens that stopped elsewhere than its file has it, and whose file admits no error: nothing else refuses that.
     if not is_file_doubted:
         return None
     lens, log_focal = hypotheses.lens()
-    if lens.is_beyond_chance and lens.evidence > max(excess[cause].evidence, hypotheses.rows.evidence):
+    if lens.exceeds_chance() and lens.evidence > max(excess[cause].evidence, hypotheses.rows().evidence):
         reason = f"the focal length is {np.expm1(log_focal):+.1%} off the camera file, which states it without error"
-        return Change(Status.POOR_FIT, reason)
+        return refused(Status.POOR_FIT, reason=reason)
     return None
 
 
@@ -122,24 +106,24 @@ def zoom_scores(window: WindowProblem, weighed: Weighed) -> tuple[Excess, Excess
     information = np.linalg.pinv(step.covariance[np.ix_(columns, columns)], hermitian=True)
     pull = information @ moved
     shared = float(pull.sum() ** 2 / information.sum())
-    gains = float(moved @ pull) - shared, shared
-    each, common = (excess_of(g, weighed.solution, n) for g, n in zip(gains, (_freedom(window, ZOOM), 1), strict=True))
-    return each, common
+    each = excess_of(float(moved @ pull) - shared, weighed.solution, len(columns) - 1)
+    return each, excess_of(shared, weighed.solution, 1)
 
 
 def excess_of(gain: float, solution: Solution, freedom: int) -> Excess:
-    """A gain in variances of the solution's pixels."""
-    variance = pixel_variance(solution)
+    """A gain in variances of the solution's pixels: robust cost per measurement that is left over."""
+    seen = np.isfinite(solution.residual_sigmas)
+    # Of two coordinates each, less a point's three and a pose's six.
+    left = 2 * int(np.count_nonzero(seen)) - 3 * seen.shape[1] - 6 * len(seen)
+    variance = max(2.0 * float(cost_by_point(solution).sum()) / max(left, 1), 1.0)
     return Excess(gain / variance, freedom, variance)
 
 
-def _freedom(window: WindowProblem, block: str) -> int:
-    """States of a block that tell pictures from each other."""
-    return OWN_STATES[block] * (window.layout.keyframes - 1)
-
-
 class Hypotheses:
-    """One window adjusted under several of them, all with the same open lens and the same open rows."""
+    """One window adjusted under several of them, all with the same open lens and the same open rows.
+
+    `solved` holds the newest solution under each.
+    """
 
     def __init__(self, window: WindowProblem, weighed: Weighed) -> None:
         asked = replace(window.request, keyframes=window.keyframes, is_oriented=True)
@@ -153,46 +137,37 @@ class Hypotheses:
         self._closed, self._first = replace(window, hold=hold), weighed.solution
         self._noise, self._lens = noise, settled(stated, noise, stated.state)
         self._window, self._none = with_open_rows(stated, noise, self._lens)
-        self._turned: Solution | None = None  # with the attitude set aside
-        self._shifted: State | None = None
-        self.zoomed_by = 0.0  # from the shortest to the longest focal length, of the logarithm
+        self.solved: dict[str, Solution] = {}
 
     def lens(self) -> tuple[Excess, float]:
         """What the open lens explains that the camera file's does not, and the logarithm of its focal length."""
         gain = 2.0 * (settled(self._closed, self._noise, self._first.state).cost - self._lens.cost)
         return excess_of(gain, self._lens, len(OPEN_LENS)), float(self._lens.state.camera[FOCAL_LENGTH])
 
-    @property
     def rows(self) -> Excess:
         """What the rows' own states explain next to the lens."""
-        layout = self._window.layout
-        return excess_of(2.0 * (self._lens.cost - self._none.cost), self._none, layout.own * layout.keyframes)
+        return excess_of(2.0 * (self._lens.cost - self._none.cost), self._none, self._none.state.own.size)
 
     def without_attitude(self, state: State | None = None) -> Excess:
         """What attitudes explain by being wrong; `state`: to begin from."""
         factors = replace(self._noise.factors, groups=dict.fromkeys((TILT, HEADING), SET_ASIDE))
-        self._turned = settled(self._window, replace(self._noise, factors=factors), state or self._none.state)
-        return self._excess(self._turned, 3 * self._window.layout.keyframes)
+        noise = replace(self._noise, factors=factors)
+        return self._explained(ATTITUDE, settled(self._window, noise, state or self._none.state), 3)
 
     def turned_instead(self) -> Excess:
         """The same, begun where shifts have led, each taken for the rotation that moves a picture's middle as far."""
-        assert self._shifted is not None
-        x, y = self._shifted.own[:, -2:].T
-        R = exp_so3(np.column_stack([-y, x, np.zeros(len(x))])) @ self._shifted.R_cam_enu
-        return self.without_attitude(replace(self._shifted, R_cam_enu=R, own=self._none.state.own))
+        shifted = self.solved[SHIFT].state
+        x, y = shifted.own[:, -2:].T
+        R = exp_so3(np.column_stack([-y, x, np.zeros(len(x))])) @ shifted.R_cam_enu
+        return self.without_attitude(replace(shifted, R_cam_enu=R, own=self._none.state.own))
 
     def with_block(self, block: str) -> Excess:
-        """What a block of image states explains."""
+        """What a block of image states explains; shifts only after attitudes, which they begin from."""
         tried = self._window.with_block(block)
         state = self._none.state.with_block(tried.layout, block)
-        if block == SHIFT and self._turned is not None:
-            state = self._hiding(self._turned.state, state)
-        solution = settled(tried, self._noise, state)
-        if block == ZOOM:
-            self.zoomed_by = float(np.ptp(solution.state.own[:, -1]))
-        else:
-            self._shifted = solution.state
-        return self._excess(solution, _freedom(self._window, block))
+        if block == SHIFT:
+            state = self._hiding(self.solved[ATTITUDE].state, state)
+        return self._explained(block, settled(tried, self._noise, state), OWN_STATES[block])
 
     def _hiding(self, turned: State, state: State) -> State:
         """A start for shifts: the frames hide by how much the pictures' rotations part from the attitudes'. (19.5)"""
@@ -204,8 +179,11 @@ class Hypotheses:
         own[:, -2:] = np.column_stack([hidden[:, 1], -hidden[:, 0]]) - [hidden[0, 1], -hidden[0, 0]]
         return replace(turned, R_cam_enu=R, own=own)
 
-    def _excess(self, solution: Solution, freedom: int) -> Excess:
-        return excess_of(2.0 * (self._none.cost - solution.cost), solution, freedom)
+    def _explained(self, name: str, solution: Solution, states: int) -> Excess:
+        """By a hypothesis with so many states in each picture; image states are counted from the first picture's."""
+        self.solved[name] = solution
+        pictures = self._window.layout.keyframes - (name != ATTITUDE)
+        return excess_of(2.0 * (self._none.cost - solution.cost), solution, states * pictures)
 
 
 def settled(window: WindowProblem, noise: Noise, state: State) -> Solution:
@@ -243,14 +221,3 @@ def with_open_lens(request: Request) -> Request:
         covariance = with_own_variance(covariance, STATES + state, sigma**2)
     taken = request.camera_taken if len(request.camera_taken) else np.zeros(COUNT)
     return replace(request, platform=replace(platform, covariance=covariance), camera_taken=taken)
-
-
-def pixel_variance(solution: Solution) -> float:
-    """Of pixels, relative to what they were weighted by, at least 1: robust cost per measurement that is left over."""
-    sigmas = solution.residual_sigmas
-    seen = np.isfinite(sigmas)
-    cost = robust_cost(np.square(sigmas[seen]), FIRST_SCALE)[0]
-    # Of two coordinates each, less a point's three and a pose's six.
-    left = 2 * int(np.count_nonzero(seen)) - 3 * seen.shape[1] - 6 * len(seen)
-    variance: float = max(float(cost.sum()) / max(left, 1), 1.0)
-    return variance

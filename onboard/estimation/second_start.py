@@ -165,14 +165,14 @@ def _preferred(one: Solution, two: Solution, common: Weighed) -> int:
     better = one if one.cost < two.cost else two
     scale = max(fit_of(better.residual_sigmas, view_states(common.problem.layout)), 1.0) ** 2
     gain = (two.cost - one.cost) / scale
-    by_point = _by_point(two) - _by_point(one)
+    by_point = cost_by_point(two) - cost_by_point(one)
     spread = float(np.sqrt(np.sum((by_point - by_point.mean()) ** 2))) / scale
     if abs(gain) < max(CLEAR_COST, CLEAR_SIGMAS * spread):
         return 0
     return 1 if gain > 0.0 else 2
 
 
-def _by_point(solution: Solution) -> Array:
+def cost_by_point(solution: Solution) -> Array:
     """The cost of the measurements of each point (P,), robust as the first of a window's two solves is."""
     squared = np.nan_to_num(np.square(solution.residual_sigmas))
     out: Array = 0.5 * robust_cost(squared, FIRST_SCALE)[0].sum(axis=0)

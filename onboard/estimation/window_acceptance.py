@@ -1,8 +1,7 @@
 """Whether an adjusted window may be accepted: each test by itself, in sigmas, with its reason in words.
 
 `by_itself` looks at one window: its depths, sensors, the known ground. `by_memory` holds it against what earlier
-windows of the flight found of the same points, (16.3). A window that fails is refused, and the reason goes to the
-statistics and the log.
+windows of the flight found of the same points, (16.3). A window that fails is refused as a poor fit.
 """
 
 from __future__ import annotations
@@ -13,8 +12,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from contract.camera import Camera
-from contract.feature_set import Status
 from onboard.config.schema import Config
 from onboard.estimation.bundle_adjustment import Solution
 from onboard.estimation.factors import AttitudePrior, Layout, Prior, SharedPrior, State
@@ -30,7 +27,6 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 MIN_POINTS = 12
-MIN_INLIERS = 0.5
 MAX_FIT_SIGMAS = 4.0  # median residual, in configured pixel sigmas, above which the fit is refused
 MAX_DEPTH_SIGMA = 0.15  # relative; above it the scene has too little parallax
 MAX_PRIOR_SIGMAS = 3.5  # root mean square of a sensor's whitened residuals that a true solution may show
@@ -42,14 +38,6 @@ LASTING_VELOCITY_M_S = 1.5
 # Of chi-square with 7 degrees of freedom: exceeded once in 1e5 comparisons.
 MAX_AGREEMENT = 35.0
 REMEMBERED = 14  # windows: a few more than the keyframes of one, so that one without a common picture is among them
-
-
-@dataclass(frozen=True)
-class Refusal:
-    """Why a window is not accepted."""
-
-    status: Status
-    reason: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +76,6 @@ def share_below(state: State, seen: Mask) -> float:
 
 def by_itself(
     config: Config,
-    camera: Camera,
     keyframes: Sequence[Keyframe],
     terrain: Terrain | None,
     s: Solution,
@@ -96,7 +83,7 @@ def by_itself(
     kept: Array,
     good: Mask,
     before: Sequence[Prior],
-) -> Refusal | None:
+) -> str | None:
     """What speaks against a solution; None if nothing does. `kept` (K, P) weights, `good` (P,) points, `before`: the
     sensors as weighted by earlier windows.
     """
@@ -105,31 +92,31 @@ def by_itself(
     used = kept > 0
     least_m = MIN_DEPTH_SHARE * float(np.median(np.abs(depth[used])))
     if share_below(s.state, used) < MIN_AHEAD:
-        return Refusal(Status.POOR_FIT, "the ground lies above the aircraft")
+        return "the ground lies above the aircraft"
     if np.count_nonzero((depth > least_m) & used) < MIN_AHEAD * np.count_nonzero(used):
-        return Refusal(Status.POOR_FIT, "points lie behind the camera or at it")
+        return "points lie behind the camera or at it"
     if np.abs(s.state.plane[1:]).max() > MAX_GROUND_SLOPE:
-        return Refusal(Status.POOR_FIT, "the ground is a wall")
+        return "the ground is a wall"
     if np.linalg.eigvalsh(s.covariance)[0] <= 0.0:
-        return Refusal(Status.POOR_FIT, "the solution has no covariance")
+        return "the solution has no covariance"
     for prior in before:
         r = prior.evaluate(s.state)[0]
-        name = type(prior).__name__.removesuffix("Prior").lower()
         # No shared state (mount, delay) may be far from its prior: a moving scene is often explained that way.
         # A lens may: what a camera file without sigmas is off by is assumed of lenses, and hardly depends on the scene.
         if isinstance(prior, SharedPrior):
             most = float(np.abs(np.delete(r, np.s_[STATES:-PLANE])).max())
             if most > IMPOSSIBLE_SIGMAS:
-                return Refusal(Status.POOR_FIT, f"mount, clock or ground far from what was known: {most:.1f} sigmas")
+                return f"mount, clock or ground far from what was known: {most:.1f} sigmas"
         rms = float(np.sqrt(np.mean(r * r)))
         if rms > MAX_PRIOR_SIGMAS:
-            by_path = isinstance(prior, AttitudePrior) and not have_attitude(keyframes)
-            what = "no aircraft flies this path so tilted" if by_path else f"{name} contradicts the pictures"
-            return Refusal(Status.POOR_FIT, f"{what}: {rms:.1f} sigmas rms")
+            what = f"{type(prior).__name__.removesuffix('Prior').lower()} contradicts the pictures"
+            if isinstance(prior, AttitudePrior) and not have_attitude(keyframes):
+                what = "no aircraft flies this path so tilted"
+            return f"{what}: {rms:.1f} sigmas rms"
     return _by_terrain(config, terrain, s, good) or _by_distance(config, keyframes, s, layout)
 
 
-def _by_terrain(config: Config, terrain: Terrain | None, s: Solution, good: Mask) -> Refusal | None:
+def _by_terrain(config: Config, terrain: Terrain | None, s: Solution, good: Mask) -> str | None:
     """The points' height over the terrain model, where it is known. Equations (16.5), (16.6)."""
     if terrain is None:
         return None
@@ -142,41 +129,39 @@ def _by_terrain(config: Config, terrain: Terrain | None, s: Solution, good: Mask
     mean = -s.point_gain[good][seen][:, 2].mean(axis=0)
     sigma_m = float(np.sqrt(mean @ s.covariance @ mean + config.terrain.sigma_datum_m**2 + config.terrain.sigma_m**2))
     if abs(above_m) > IMPOSSIBLE_SIGMAS * sigma_m:
-        return Refusal(Status.POOR_FIT, f"ground off the terrain model: {above_m:+.0f} m, sigma {sigma_m:.0f}")
+        return f"ground off the terrain model: {above_m:+.0f} m, sigma {sigma_m:.0f}"
     return None
 
 
-def _by_distance(config: Config, keyframes: Sequence[Keyframe], s: Solution, layout: Layout) -> Refusal | None:
+def _by_distance(config: Config, keyframes: Sequence[Keyframe], s: Solution, layout: Layout) -> str | None:
     """The distance between the window's ends against the velocity's integral: the scene's scale. Equation (16.7)."""
-    displacement = [k.displacement for k in keyframes[1:]]
-    if any(f is None for f in displacement):
+    displacement = [k.displacement for k in keyframes[1:] if k.displacement is not None]
+    if len(displacement) < len(keyframes) - 1:
         return None
-    by_velocity = np.sum([f.enu_m for f in displacement if f is not None], axis=0)
+    by_velocity = np.sum([f.enu_m for f in displacement], axis=0)
     by_pictures = s.state.centres_enu_m[-1] - s.state.centres_enu_m[0]
     seconds = (keyframes[-1].nav.stamp_ns - keyframes[0].nav.stamp_ns) / 1e9
-    ends = np.zeros((3, layout.size))
-    ends[:, layout.centre(layout.keyframes - 1)] = np.eye(3)
-    ends[:, layout.centre(0)] -= np.eye(3)
+    first, *_, last = layout.centres()
+    ends = np.eye(layout.size)[last] - np.eye(layout.size)[first]
     lasting_m = max(LASTING_VELOCITY_M_S, velocity_sigma_m_s(config, keyframes)) * seconds
     between_m2 = between_covariance(displacement).sum(axis=(1, 2))
     covariance = ends @ s.covariance @ ends.T + np.eye(3) * lasting_m**2 + np.diag(between_m2)
     miss = by_pictures - by_velocity
     chi2 = float(miss @ np.linalg.solve(covariance, miss))
     if chi2 > IMPOSSIBLE_SIGMAS**2:
-        return Refusal(
-            Status.POOR_FIT,
+        return (
             f"scale contradicts velocity: {np.linalg.norm(by_pictures):.0f} m from the first picture to the last, "
-            f"{np.linalg.norm(by_velocity):.0f} by velocity",
+            f"{np.linalg.norm(by_velocity):.0f} by velocity"
         )
     return None
 
 
-def by_memory(memory: Memory, agreed: Agreement | None) -> Refusal | None:
+def by_memory(memory: Memory, agreed: Agreement | None) -> str | None:
     """What earlier windows say against this one; None if nothing does."""
-    if agreed is not None and agreed.chi2 > MAX_AGREEMENT * memory.relative.factor:
-        return Refusal(
-            Status.POOR_FIT,
+    most = MAX_AGREEMENT * memory.relative.factor
+    if agreed is not None and agreed.chi2 > most:
+        return (
             f"points seen again are elsewhere: {agreed.points} of them by {agreed.shift_m:.1f} m, "
-            f"chi-square {agreed.chi2:.0f}, at most {MAX_AGREEMENT * memory.relative.factor:.0f}",
+            f"chi-square {agreed.chi2:.0f}, at most {most:.0f}"
         )
     return None

@@ -29,7 +29,6 @@ from onboard.estimation.variance_components import evidence_of
 from onboard.estimation.window_acceptance import (
     MAX_DEPTH_SIGMA,
     MAX_FIT_SIGMAS,
-    MIN_INLIERS,
     MIN_POINTS,
     by_itself,
     by_memory,
@@ -38,6 +37,7 @@ from onboard.estimation.window_problem import WindowProblem
 from onboard.estimation.window_request import Noise, Outcome, Request, Weighed
 from onboard.geometry.plane_fit import fit_plane
 from onboard.geometry.robust import OUTLIER_SIGMAS
+from onboard.navigation.limits import MOST_OF
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -113,8 +113,7 @@ def _adjusted(request: Request) -> Outcome:
     first = window.weighed(noise, window.state)
     changed = None if request.is_mount_open else moved_optics.found(window, first)
     if changed is not None:
-        reason, moved = changed.reason, changed.lens_moved
-        return Outcome(changed.status, window.keyframes, request.noise, reason=reason, lens_moved=moved, weighed=first)
+        return changed
     weighed, failed = _without_failing_sensors(window, first)
     # What follows is judged by what earlier windows found of the sensors, and by which of them fail.
     request = replace(request, noise=weighed.noise)
@@ -277,7 +276,7 @@ def _judged(
     depth_m = np.where(kept > 0, depth, np.nan)
     median_depth = float(np.nanmedian(depth_m)) if used else np.nan
     good = np.count_nonzero(kept > 0, axis=0) >= 2
-    if used < MIN_INLIERS * seen or np.count_nonzero(good) < MIN_POINTS or not np.isfinite(median_depth):
+    if used < MOST_OF * seen or np.count_nonzero(good) < MIN_POINTS or not np.isfinite(median_depth):
         return refused(Status.POOR_FIT, f"outliers: {seen - used} of {seen} measurements")
     left = np.count_nonzero(kept > 0, axis=1) / np.maximum(np.count_nonzero(weight > 0, axis=1), 1)
     if left.min() < MIN_VIEW_INLIERS:
@@ -299,9 +298,9 @@ def _judged(
     if float(np.median(_depth_sigma(s, covariance, good, layout))) / median_depth > MAX_DEPTH_SIGMA:
         # coarse and fine flow disagree too much to know the scale: water
         return refused(Status.POOR_FIT, GROUND_MOVES)
-    against = by_itself(config, camera, request.keyframes, request.terrain, s, layout, kept, good, before)
+    against = by_itself(config, request.keyframes, request.terrain, s, layout, kept, good, before)
     if against is not None:
-        return refused(against.status, against.reason)
+        return refused(Status.POOR_FIT, against)
     keyframes = tuple(
         replace(k, R_cam_enu=R, centre_enu_m=C)
         for k, R, C in zip(request.keyframes, s.state.R_cam_enu, s.state.centres_enu_m, strict=True)
@@ -322,7 +321,7 @@ def _judged(
     agreed = request.memory.compared(solved)
     remembered = by_memory(request.memory, agreed)
     if remembered is not None:
-        return replace(refused(remembered.status, remembered.reason), rejected=solved, agreed=agreed)
+        return replace(refused(Status.POOR_FIT, remembered), rejected=solved, agreed=agreed)
     return Outcome(Status.OK, keyframes, noise, solved, agreed=agreed)
 
 

@@ -195,8 +195,8 @@ def test_a_window_that_lies_elsewhere_turned_or_scaled_disagrees_and_is_refused(
         found = memory.compared(wrong)
         assert found is not None and found.chi2 > 35.0
         refusal = by_memory(memory, found)
-        assert refusal is not None and refusal.status is Status.POOR_FIT
-        assert "points seen again" in refusal.reason
+        assert refusal is not None
+        assert "points seen again" in refusal
 
 
 def test_windows_with_a_common_picture_are_not_compared_and_few_points_say_nothing() -> None:

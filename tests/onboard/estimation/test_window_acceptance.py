@@ -16,13 +16,13 @@ from onboard.estimation.clock_profile import ClockProfile
 from onboard.estimation.reobservation import Agreement
 from onboard.estimation.sliding_window import Window
 from onboard.estimation.solved_window import Solved
-from onboard.estimation.window_acceptance import Memory, Refusal, by_itself, by_memory
+from onboard.estimation.window_acceptance import Memory, by_itself, by_memory
 from onboard.estimation.window_request import Outcome, Request
 from onboard.estimation.window_solver import adjust
 from onboard.geometry.terrain_grid import Terrain
 from onboard.navigation.position_interpolation import Displacement
 from simulation.paths import PathSpec
-from tests.onboard.scenes import CAMERA, FULL, SceneSpec, draw
+from tests.onboard.scenes import FULL, SceneSpec, draw
 
 CALM = SceneSpec(error_scale=0.3)
 
@@ -35,11 +35,9 @@ def solved_scene(seed: int = 0) -> tuple[Request, Solved]:
     return request, outcome.solved
 
 
-def judged(request: Request, solved: Solved, terrain: Terrain | None = None) -> Refusal | None:
+def judged(request: Request, solved: Solved, terrain: Terrain | None = None) -> str | None:
     kept = np.isfinite(solved.solution.residual_sigmas).astype(float)
-    return by_itself(
-        request.config, CAMERA, solved.keyframes, terrain, solved.solution, solved.layout, kept, solved.good, []
-    )
+    return by_itself(request.config, solved.keyframes, terrain, solved.solution, solved.layout, kept, solved.good, [])
 
 
 def flat_terrain(height_m: float) -> Terrain:
@@ -52,7 +50,7 @@ def test_points_off_the_terrain_model_are_refused() -> None:
     assert judged(request, solved) is None
     assert judged(request, solved, flat_terrain(ground + 4.0)) is None
     against = judged(request, solved, flat_terrain(ground + 75.0))
-    assert against is not None and "terrain" in against.reason and against.status is Status.POOR_FIT
+    assert against is not None and "terrain" in against
 
 
 def test_a_scale_that_velocity_contradicts_is_refused() -> None:
@@ -64,7 +62,7 @@ def test_a_scale_that_velocity_contradicts_is_refused() -> None:
         )
         against = judged(request, replace(solved, keyframes=displacement))
         assert (against is not None) is is_refused, factor
-        assert against is None or "velocity" in against.reason
+        assert against is None or "velocity" in against
 
 
 def test_points_behind_the_camera_or_at_it_are_refused() -> None:
@@ -76,7 +74,7 @@ def test_points_behind_the_camera_or_at_it_are_refused() -> None:
         points[half] += pull * (state.centres_enu_m.mean(axis=0) - points[half])
         wrong = replace(solved, solution=replace(solved.solution, state=replace(state, points_enu_m=points)))
         against = judged(request, wrong)
-        assert against is not None and word in against.reason
+        assert against is not None and word in against
 
 
 def test_a_window_that_inherits_a_wrong_minimum_is_solved_again_from_attitude() -> None:
