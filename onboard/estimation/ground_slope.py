@@ -65,7 +65,7 @@ class GroundSlope:
         self._seen.clear()
 
     def offer(self, start_ns: int, seen: SlopeSeen) -> bool:
-        """What a solved window, which began at `start_ns`, saw; True if it shares no picture with the one before."""
+        """Keep what a solved window saw, if it began (`start_ns`) after the one before ended; whether it did."""
         if self._seen and start_ns <= self._seen[-1].end_ns:
             return False
         self._seen.append(seen)

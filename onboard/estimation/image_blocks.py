@@ -1,8 +1,8 @@
 """Blocks of states that move image coordinates: the camera's own, rows read in turn, and optics that change. (19.1)
 
-Every block adds to the predicted coordinates of picture k what its states make of them, linearly: a Jacobian times the
-states' values. Which blocks a window has is said by its `Layout`; a hypothesis about the optics is one of them switched
-on. The camera's states are shared by all pictures, the other blocks have states of their own in every picture.
+Every block adds to the predicted coordinates of a picture a Jacobian times its states. Which blocks a window has is in
+its `Layout`; a hypothesis about the optics is one of them switched on. All pictures share the camera's states, of the
+other blocks each has its own.
 """
 
 from __future__ import annotations
@@ -54,19 +54,18 @@ def _own(layout: Layout, name: str, by_state: Callable[[Array], Array], sigma: f
 
 def _camera(layout: Layout, camera: Camera, taken: Array, sweep: Sweep | None) -> ImageBlock:
     """(15.2); the readout's state by (18.2), where rates of their own turn the pictures already by travel alone."""
+    has_readout, turns = layout.camera_states > COUNT, RATES not in layout.blocks
 
     def jacobian(state: State, predicted: Array, depth: Array) -> Array:
         # Where points are predicted, not where they were measured: a larger focal length must not shrink the noise.
         moved = -by_states(camera, predicted[:, 0], predicted[:, 1])
-        if sweep is None or layout.camera_states <= COUNT:
+        if sweep is None or not has_readout:
             return moved
-        turns = RATES not in layout.blocks
-        return np.concatenate(
-            [moved, sweep.by_readout(state.R_cam_enu, predicted, depth, turns=turns)[:, None]], axis=1
-        )
+        by_readout = sweep.by_readout(state.R_cam_enu, predicted, depth, turns=turns)
+        return np.concatenate([moved, by_readout[:, None]], axis=1)
 
-    K, columns = layout.keyframes, np.arange(layout.size)[layout.camera]
-    return ImageBlock(np.tile(columns, (K, 1)), jacobian, lambda state: np.tile(state.camera - taken, (K, 1)))
+    columns = np.tile(np.arange(layout.size)[layout.camera], (layout.keyframes, 1))
+    return ImageBlock(columns, jacobian, lambda state: np.tile(state.camera - taken, (layout.keyframes, 1)))
 
 
 def _by_shift(predicted: Array) -> Array:

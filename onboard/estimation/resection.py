@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,8 @@ from onboard.geometry.robust import robust_cost
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_SETTLED = 1.0 / np.array([1e-5] * 3 + [1e-2] * 3)  # one over the step, rad and m, that is nothing any more
+# A step (rad, m, rad/s) that is nothing any more: a hundredth of a pixel, a centimetre, far below what is known.
+_SETTLED = np.array([1e-5] * 3 + [1e-2] * 3 + [1e-3] * 3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +31,7 @@ class Resection:
     sigmas: Array  # (N,) length of each whitened residual
     inliers: Mask
     # What is added to the given rate where nothing measures that; information and `by_point` then have three more rows.
-    rate_off_rad_s: Array = field(default_factory=lambda: np.zeros(3))
+    rate_off_rad_s: Array
 
 
 def resect(
@@ -47,65 +48,44 @@ def resect(
 ) -> Resection:
     """Gauss-Newton from a starting pose, which is also the prior with `prior_sigma` (6,): rad (camera axes), m (ENU).
 
-    `start`, rotation and centre, is where to begin if a pose better than the prior's is known.
-
-    `points_enu_m` (N, 3), normalised image coordinates `xy` (N, 2), `weight` (N,) 1 / sigma. `sweep`: of this one view,
-    where `xy` is what its rows saw one after the other.
+    `points_enu_m` (N, 3), normalised image coordinates `xy` (N, 2), `weight` (N,) 1 / sigma. `start`: rotation and
+    centre to begin from, if better ones are known. `sweep`: of this one view, where `xy` is what its rows saw.
     """
     R0, C0 = R_cam_enu, centre_enu_m
     R, C = start or (R0, C0)
-    has_rate = sweep is not None and sweep.sigma_rate_rad_s > 0.0
-    rate_off, settled = np.zeros(3), _SETTLED
-    if sweep is not None and has_rate:
-        prior_sigma = np.concatenate([prior_sigma, np.full(3, sweep.sigma_rate_rad_s)])
-        settled = np.concatenate([_SETTLED, np.full(3, 1e3)])
-    prior = 1.0 / prior_sigma**2
-    stiff = np.diag(prior)
+    rate_off, rate_sigma = np.zeros(3), 0.0 if sweep is None else sweep.sigma_rate_rad_s
+    n = 9 if rate_sigma > 0.0 else 6
+    prior = 1.0 / np.append(prior_sigma, [rate_sigma] * 3)[:n] ** 2
+    stiff, step = np.diag(prior), np.zeros(9)
     for _ in range(steps):
         A, _, r, _, _ = _whitened(points_enu_m, xy, weight, R, C, scale, sweep, rate_off)
-        off = np.concatenate([log_so3(R @ R0.T), C - C0, rate_off] if has_rate else [log_so3(R @ R0.T), C - C0])
-        step = -solve_small(A @ A.T + stiff, A @ r + prior * off)
-        R, C = exp_so3(step[:3]) @ R, C + step[3:6]
-        rate_off = rate_off + step[6:] if has_rate else rate_off
-        # A hundredth of a pixel, a centimetre: far below what the pose is known to.
-        if np.abs(step * settled).max() < 1.0:
+        off = np.concatenate([log_so3(R @ R0.T), C - C0, rate_off])[:n]
+        step[:n] = -solve_small(A @ A.T + stiff, A @ r + prior * off)
+        R, C, rate_off = exp_so3(step[:3]) @ R, C + step[3:6], rate_off + step[6:]
+        if np.all(np.abs(step) < _SETTLED):
             break
-    A, B, _, sigmas, used = _whitened(points_enu_m, xy, weight, R, C, scale, sweep, rate_off)
-    information = A @ A.T + stiff
-    n, N = len(A), len(points_enu_m)
-    rows = A.reshape(n, 2, -1)
-    by_point = (rows[:, None, 0] * B[:, 0] + rows[:, None, 1] * B[:, 1]).reshape(3 * n, N).T.reshape(N, n, 3)
-    return Resection(R, C, information, by_point, sigmas, used & (sigmas < 2.0 * scale), rate_off)
+    A, B, _, sigmas, ahead = _whitened(points_enu_m, xy, weight, R, C, scale, sweep, rate_off)
+    by_point = np.einsum("vip,cip->pvc", A.reshape(n, 2, -1), B)
+    return Resection(R, C, A @ A.T + stiff, by_point, sigmas, ahead & (sigmas < 2.0 * scale), rate_off)
 
 
 def _whitened(
-    points: Array,
-    xy: Array,
-    weight: Array,
-    R: Array,
-    C: Array,
-    scale: float,
-    sweep: Sweep | None,
-    rate_off: Array,
+    points: Array, xy: Array, weight: Array, R: Array, C: Array, scale: float, sweep: Sweep | None, rate_off: Array
 ) -> tuple[Array, Array, Array, Array, Mask]:
     """Rows by the view (6, 2N), by the point (3, 2, N), residual (2N,), sigmas (N,), and which lie ahead (N,).
 
     By the view (9, 2N) where its angular rate is to be found too.
     """
     residual, predicted, depth = reprojection(R[None], C[None], points, xy.T[None])
+    by_rate = np.zeros((0, 2, len(points)))
     if sweep is not None:
         residual += sweep.readout_s * sweep.by_readout(R[None], predicted, depth)
-    by_rate = None
-    if sweep is not None and sweep.sigma_rate_rad_s:
-        by_rate = sweep.by_rate(predicted)[0]
-        residual += np.einsum("rip,r->ip", by_rate, rate_off)
+        if sweep.sigma_rate_rad_s > 0.0:
+            by_rate = sweep.by_rate(predicted)[0]
+            residual += np.einsum("rip,r->ip", by_rate, rate_off)
     ahead: Mask = depth[0] > 1e-6
     squared = np.where(ahead, (residual[0] ** 2).sum(axis=0) * weight**2, 1e6)
-    _, robust = robust_cost(squared, scale)
-    s = weight * np.sqrt(robust) * ahead
+    s = weight * np.sqrt(robust_cost(squared, scale)[1]) * ahead
     by_rotation, by_point = reprojection_jacobians(R[None], predicted, depth, s[None])
-    by_view = [by_rotation[0], -by_point[0]]
-    if by_rate is not None:
-        by_view.append(by_rate * s)
-    A = np.concatenate(by_view).reshape(3 * len(by_view), -1)
+    A = np.concatenate([by_rotation[0], -by_point[0], by_rate * s]).reshape(6 + len(by_rate), -1)
     return A, by_point[0], (residual[0] * s).reshape(-1), np.sqrt(squared), ahead
