@@ -28,12 +28,11 @@ from onboard.estimation.factors import (
     VelocityPrior,
     gauss_markov_sqrt_information,
 )
-from onboard.estimation.initialisation import orient
 from onboard.estimation.platform_states import BORESIGHT, DELAY, HEADING, OFFSET, STATES
 from onboard.estimation.sensor_factors import cosine_sine_of_heading
 from onboard.estimation.window_problem import approximate
 from onboard.estimation.window_solver import MIN_PIXEL_SIGMA_PX, refine
-from onboard.estimation.window_start import MIN_PARALLAX_RAD, START_SIGMAS
+from onboard.estimation.window_start import MIN_PARALLAX_RAD, START_SIGMAS, orient
 from onboard.geometry.plane_fit import fit_plane
 from onboard.geometry.terrain_grid import Terrain
 from onboard.geometry.triangulation import triangulate

@@ -1,10 +1,9 @@
 """Optics that changed between the pictures of a window: zoom or refocus, and a stabilised frame. (19.2) to (19.5)
 
 Each is a hypothesis: the window's first adjustment again with one more image block. Twice the fall of the cost is held
-against what chance makes of as many states. The same fall is found for the sensors, each set aside in turn, because one
-of them that is off may be explained by optics as well; the explanation with the largest excess is the cause. What all
-pictures of a window share (focal length, k1) is open under every hypothesis: a camera file that is wrong is no zoom. So
-are rates and vibration of rows read one after the other, declared or not: they scale and shear each picture by itself.
+against what chance makes of as many states, and against the same with the attitude set aside: the explanation with the
+largest excess is the cause. Open under every hypothesis are focal length and k1 (a camera file that is wrong is no
+zoom), and rates and vibration of rows, declared or not, which scale and shear each picture by itself.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from onboard.estimation.factors import OWN_STATES, RATES, SHIFT, WAVES, ZOOM, St
 from onboard.estimation.information import with_own_variance
 from onboard.estimation.keyframe import have_attitude
 from onboard.estimation.platform_states import STATES
-from onboard.estimation.second_start import by_attitude, cost_by_point
+from onboard.estimation.second_start import by_sensors, cost_by_point
 from onboard.estimation.sensor_groups import contradictions, innovations
 from onboard.estimation.sensor_table import HEADING, TILT
 from onboard.estimation.window_problem import WindowProblem, approximate
@@ -171,9 +170,8 @@ class Hypotheses:
 
     def _hiding(self, turned: State, state: State) -> State:
         """A start for shifts: the frames hide by how much the pictures' rotations part from the attitudes'. (19.5)"""
-        request = self._window.request
-        attitudes = [by_attitude(k.nav, request.platform, request.R_body_cam) for k in self._window.keyframes]
-        R = np.stack([a for a in attitudes if a is not None])
+        R = by_sensors(self._window.request)
+        assert R is not None
         hidden = log_so3(turned.R_cam_enu @ R.transpose(0, 2, 1))
         own = state.own.copy()
         own[:, -2:] = np.column_stack([hidden[:, 1], -hidden[:, 0]]) - [hidden[0, 1], -hidden[0, 0]]
@@ -199,10 +197,7 @@ def settled(window: WindowProblem, noise: Noise, state: State) -> Solution:
 
 
 def with_open_rows(window: WindowProblem, noise: Noise, solution: Solution) -> tuple[WindowProblem, Solution]:
-    """The window with its rows read one after the other, by rates and waves that nothing measures, and its solution.
-
-    `solution` is the window's own. Rows that are not declared, or that vibrate, scale and shear each picture by itself.
-    """
+    """The window, whose own solution is given, with rates and waves of its rows that nothing measures; its solution."""
     rates = window.with_rows_in_turn()
     state = solution.state if rates.layout == window.layout else solution.state.with_block(rates.layout, RATES)
     solution = settled(rates, noise, state)

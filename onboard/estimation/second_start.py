@@ -1,41 +1,51 @@
-"""Other explanations of a window's pictures: the starts that lead to them, and which of two solutions is likelier.
+"""Other explanations of a window's pictures: starts that lead to them, which is likelier, how wide a valley is.
 
 Least squares find the minimum next to their start, and a window that starts from the one before inherits its minimum.
 Without attitude there may be another one: a plane's pictures have a second motion, which a climb's positions do not
 tell from the first, and in a turn an aircraft may be upside down. What two minima are worth is the difference of one
 cost, under one noise, (16.8): each window's own noise has grown until its residuals fit.
+
+Of a climb without attitude the valley along the heading is also wider than the cost's curvature at its minimum, which
+is the covariance, or has another bottom. So all views are held turned as one, at three sigmas either way and all round,
+and all else is solved for again: what the cost has risen by there is what such a turn is really worth, (16.10).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from contract.feature_set import Status
-from contract.rotations import exp_so3
+from contract.rotations import exp_so3, log_so3, right_jacobian_inverse
 from onboard.estimation.boresight import PlatformEstimate
 from onboard.estimation.bundle_adjustment import Problem, Solution
-from onboard.estimation.factors import State
+from onboard.estimation.clock_profile import CLEAR
+from onboard.estimation.factors import Layout, Prior, RangePrior, State
 from onboard.estimation.keyframe import Keyframe, have_attitude, turned
 from onboard.estimation.pixel_noise import fit_of, view_states
 from onboard.estimation.platform_states import BORESIGHT, HEADING
 from onboard.estimation.sensor_factors import coordinated_turn, cosine_sine_of_heading
-from onboard.estimation.window_acceptance import MIN_AHEAD
+from onboard.estimation.solved_window import Solved
+from onboard.estimation.window_acceptance import MIN_AHEAD, share_below
 from onboard.estimation.window_problem import FIRST_SCALE, WindowProblem, approximate, from_request
 from onboard.estimation.window_request import Outcome, Request, Weighed
 from onboard.geometry.planar_ambiguity import mirrored
 from onboard.geometry.plane_fit import fit_plane
 from onboard.geometry.robust import robust_cost
+from onboard.navigation.limits import SURE_SIGMAS
 from onboard.navigation.navigator import NavState
 
 Array = NDArray[np.float64]
 
-CLEAR_COST = float(np.log(1000.0))  # by which one of two solutions is the likelier, a thousand to one
-CLEAR_SIGMAS = 3.1  # of that difference's own spread, one-sided the same odds
+CLEAR_SIGMAS = 3.1  # of a difference of two costs, by its own spread: one-sided a thousand to one
 SAME_SIGMAS = 1.0  # of the points' own places, within which two solutions are the same
+MAX_ROTATION_SIGMA_DEG = 20.0  # above it a turn's second order, which no covariance has, is a fifth of its first
+HELD = 0.01  # rad, how closely a turn is held
+AROUND_RAD = np.radians(np.arange(45.0, 360.0, 45.0))  # valleys for which this is asked are as wide as these are apart
 
 
 def by_attitude(nav: NavState, platform: PlatformEstimate, R_body_cam: Array) -> Array | None:
@@ -48,16 +58,12 @@ def by_attitude(nav: NavState, platform: PlatformEstimate, R_body_cam: Array) ->
     return out
 
 
-def by_sensors(
-    keyframes: tuple[Keyframe, ...], platform: PlatformEstimate, R_body_cam: Array
-) -> tuple[Keyframe, ...] | None:
-    """Keyframes oriented by the autopilot, or where it gives no attitude by a coordinated turn along the path."""
-    attitudes = [by_attitude(k.nav, platform, R_body_cam) for k in keyframes]
-    known = [R for R in attitudes if R is not None]
-    if len(known) == len(keyframes):
-        return turned(keyframes, np.stack(known))
-    path = coordinated_turn(R_body_cam, list(keyframes))
-    return None if path is None else turned(keyframes, path.transpose(0, 2, 1))
+def by_sensors(request: Request) -> Array | None:
+    """R_cam_enu (K, 3, 3) by the autopilot, or where it gives no attitude by a coordinated turn along the path."""
+    if have_attitude(request.keyframes):
+        return np.array([by_attitude(k.nav, request.platform, request.R_body_cam) for k in request.keyframes])
+    path = coordinated_turn(request.R_body_cam, list(request.keyframes))
+    return None if path is None else path.transpose(0, 2, 1)
 
 
 def other_starts(request: Request, found: Outcome) -> Iterator[tuple[Keyframe, ...]]:
@@ -66,25 +72,21 @@ def other_starts(request: Request, found: Outcome) -> Iterator[tuple[Keyframe, .
     Without attitude the mirrored motion of the plane, if one is possible; and the sensors' own orientations where the
     window was refused, or, without attitude, nothing confirms it yet.
     """
-    keyframes = request.keyframes
-    has_attitude = have_attitude(keyframes)
+    has_attitude = have_attitude(request.keyframes)
     if found.weighed is not None and not has_attitude and found.status is not Status.LOW_PARALLAX:
         state, problem = found.weighed.solution.state, found.weighed.problem
         seen = problem.weight > 0
-        several = np.count_nonzero(seen, axis=0) > 1
-        plane, _ = fit_plane(state.points_enu_m[several])
+        plane, _ = fit_plane(state.points_enu_m[np.count_nonzero(seen, axis=0) > 1])
         R = mirrored(state.R_cam_enu, state.centres_enu_m, plane, problem.xy, seen, MIN_AHEAD)
         if R is not None:
-            yield turned(keyframes, R)
-    if has_attitude:
-        # The sensors' start was the first one, but where the window before gave it.
-        is_open = found.status is Status.POOR_FIT and request.previous is not None
-    else:
-        is_confirmed = found.agreed is not None or bool(request.memory.windows)
-        is_open = found.status is Status.POOR_FIT or (found.status is Status.OK and not is_confirmed)
-    start = by_sensors(keyframes, request.platform, request.R_body_cam) if is_open else None
-    if start is not None:
-        yield start
+            yield turned(request.keyframes, R)
+    # With attitude the sensors' start was the first one, but where the window before gave it.
+    was_refused = found.status is Status.POOR_FIT and (request.previous is not None or not has_attitude)
+    is_confirmed = has_attitude or found.agreed is not None or bool(request.memory.windows)
+    is_open = was_refused or (found.status is Status.OK and not is_confirmed)
+    R = by_sensors(request) if is_open else None
+    if R is not None:
+        yield turned(request.keyframes, R)
 
 
 def is_far_worse(found: Outcome, other: Request) -> bool:
@@ -95,8 +97,8 @@ def is_far_worse(found: Outcome, other: Request) -> bool:
     if not isinstance(window, WindowProblem):
         return True
     problem = found.weighed.problem
-    solution = approximate(problem, as_seen_by(problem, window.state, window.reference_enu_m))
-    return _preferred(found.weighed.solution, solution, found.weighed) == 1
+    solution = _minimum(problem, window.state, window.reference_enu_m)
+    return _preferred(found.weighed.solution, solution, problem) == 1
 
 
 def likelier(request: Request, one: Outcome, two: Outcome) -> Outcome:
@@ -110,12 +112,13 @@ def likelier(request: Request, one: Outcome, two: Outcome) -> Outcome:
     if one.weighed is None:
         return two if two.agreed is not None or have_attitude(request.keyframes) else one
     # Under the noise of the one that needed less: what a wrong solution needs would excuse it.
-    common = max((one.weighed, two.weighed), key=lambda w: _precision(w.problem))
-    first, second = (_under(common, w) for w in (one.weighed, two.weighed))
-    preferred = _preferred(first, second, common)
-    if one.solved is None:
-        return one if preferred == 1 else two
-    if preferred:
+    problem = max((one.weighed.problem, two.weighed.problem), key=_precision)
+    first, second = (
+        w.solution if w.problem is problem else _minimum(problem, w.solution.state, w.problem.reference_enu_m)
+        for w in (one.weighed, two.weighed)
+    )
+    preferred = _preferred(first, second, problem)
+    if preferred or one.solved is None:
         return one if preferred == 1 else two
     at1, at2 = one.solved.common(two.solved)
     miss_m = np.linalg.norm(first.state.points_enu_m[at1] - second.state.points_enu_m[at2], axis=1)
@@ -129,47 +132,42 @@ def likelier(request: Request, one: Outcome, two: Outcome) -> Outcome:
     return replace(one, status=Status.LOW_PARALLAX, keyframes=request.keyframes, solved=None, reason=reason)
 
 
-def _under(common: Weighed, other: Weighed) -> Solution:
-    """A window's minimum as another weighs it."""
-    if other is common:
-        return common.solution
-    state = as_seen_by(common.problem, other.solution.state, other.problem.reference_enu_m)
-    return approximate(common.problem, state)
-
-
-def as_seen_by(problem: Problem, state: State, reference_enu_m: Array) -> State:
-    """A state whose plane was counted about another reference point, with the pictures' own states of this problem."""
+def _minimum(problem: Problem, state: State, reference_enu_m: Array) -> Solution:
+    """The minimum next to another window's state, whose plane was counted about this point; own states as here."""
     layout, plane = problem.layout, state.plane.copy()
     if problem.terrain is None:
         between = problem.reference_enu_m - reference_enu_m
         plane[0] += plane[1:] @ between[:2] - between[2]
     shape = (layout.keyframes, layout.own)
-    return replace(state, plane=plane, own=state.own if state.own.shape == shape else np.zeros(shape))
+    own = state.own if state.own.shape == shape else np.zeros(shape)
+    return approximate(problem, replace(state, plane=plane, own=own))
 
 
 def _precision(problem: Problem) -> float:
     """The logarithm of the weights of all that is measured: the larger, the less noise is assumed."""
-    total = 2.0 * float(np.log(problem.weight[problem.weight > 0]).sum())
-    for prior in problem.priors:
-        whitener = getattr(prior, "whitener", None)
-        if isinstance(whitener, np.ndarray):
-            total += float(np.log(np.abs(np.diagonal(whitener, axis1=-2, axis2=-1))).sum())
-    return total
+    whiteners = [prior.whitener for prior in problem.priors if not isinstance(prior, RangePrior)]
+    diagonals = [np.diagonal(W, axis1=-2, axis2=-1).ravel() for W in whiteners]
+    pixels = 2.0 * float(np.log(problem.weight[problem.weight > 0]).sum())
+    return pixels + float(np.log(np.abs(np.concatenate(diagonals))).sum())
 
 
-def _preferred(one: Solution, two: Solution, common: Weighed) -> int:
+def _preferred(one: Solution, two: Solution, problem: Problem) -> int:
     """Which of two minima of the same cost is clearly the likelier: 1, 2, or 0 where both fit. (16.8), (16.9)
 
     In units of the noise that the better one's residuals show, where they show more than was assumed.
     """
-    better = one if one.cost < two.cost else two
-    scale = max(fit_of(better.residual_sigmas, view_states(common.problem.layout)), 1.0) ** 2
+    scale = _noise_shown(one if one.cost < two.cost else two, problem)
     gain = (two.cost - one.cost) / scale
     by_point = cost_by_point(two) - cost_by_point(one)
-    spread = float(np.sqrt(np.sum((by_point - by_point.mean()) ** 2))) / scale
-    if abs(gain) < max(CLEAR_COST, CLEAR_SIGMAS * spread):
+    spread = float(np.linalg.norm(by_point - by_point.mean())) / scale
+    if abs(gain) < max(0.5 * CLEAR, CLEAR_SIGMAS * spread):
         return 0
     return 1 if gain > 0.0 else 2
+
+
+def _noise_shown(solution: Solution, problem: Problem) -> float:
+    """The variance that residuals show, in units of what was assumed, at least 1. (6.11)"""
+    return max(fit_of(solution.residual_sigmas, view_states(problem.layout)), 1.0) ** 2
 
 
 def cost_by_point(solution: Solution) -> Array:
@@ -177,3 +175,87 @@ def cost_by_point(solution: Solution) -> Array:
     squared = np.nan_to_num(np.square(solution.residual_sigmas))
     out: Array = 0.5 * robust_cost(squared, FIRST_SCALE)[0].sum(axis=0)
     return out
+
+
+@dataclass(frozen=True, eq=False)
+class TurnPrior:
+    """All views are turned as one about this axis by nothing from where they were; one residual."""
+
+    layout: Layout
+    R_cam_enu: Array  # (K, 3, 3) where they were
+    axis_enu: Array  # (3,)
+    sigma_rad: float
+
+    def evaluate(self, state: State) -> tuple[Array, Array]:
+        """Residual (1,), Jacobian (1, D)."""
+        w = log_so3(self.R_cam_enu.transpose(0, 2, 1) @ state.R_cam_enu)
+        J = np.zeros((1, self.layout.size))
+        by_view = np.einsum("i,kij,klj->kl", self.axis_enu, right_jacobian_inverse(w), state.R_cam_enu)
+        J[0, self.layout.rotations()] = by_view / (len(w) * self.sigma_rad)
+        return np.array([self.axis_enu @ w.mean(axis=0) / self.sigma_rad]), J
+
+
+def weakest_turn(solved: Solved) -> tuple[Array, float]:
+    """The axis (3,), ENU, of the turn of all views as one that is known least, and its one sigma (rad)."""
+    R = solved.solution.state.R_cam_enu
+    C = solved.solution.covariance[np.ix_(*[solved.layout.rotations().ravel()] * 2)]
+    as_one = np.concatenate(list(R), axis=0).T / len(R)  # (3, 3K)
+    variances, axes = np.linalg.eigh(as_one @ C @ as_one.T)
+    return axes[:, -1], float(np.sqrt(variances[-1]))
+
+
+def heading_unknown(turn_deg: float) -> str:
+    """Why a window is refused whose rotation has so large a sigma, and what to do."""
+    known = f"to {min(turn_deg, 180.0):.0f} degrees only"
+    return f"heading hardly known: {known}, fly a straight leg, or send the attitude"
+
+
+def by_profile(request: Request, found: Outcome) -> tuple[Outcome, tuple[Keyframe, ...] | None]:
+    """An accepted window without attitude, its variances as wide as the cost shows; refused where that is too wide.
+
+    And where the cost is lower elsewhere, the keyframes as they are there. As it is where three sigmas of its weakest
+    turn are less than MAX_ROTATION_SIGMA_DEG: a covariance holds there. (16.10)
+    """
+    solved = found.solved
+    if solved is None or found.weighed is None or have_attitude(request.keyframes):
+        return found, None
+    axis, sigma_rad = weakest_turn(solved)
+    if np.degrees(SURE_SIGMAS * sigma_rad) < MAX_ROTATION_SIGMA_DEG:
+        return found, None
+    angles = np.append(AROUND_RAD, [SURE_SIGMAS * sigma_rad, -SURE_SIGMAS * sigma_rad])
+    held = [_held(found.weighed, axis, float(angle)) for angle in (0.0, *angles)]
+    risen = np.array([cost for cost, _ in held[1:]]) - held[0][0]
+    wide_rad = float(np.max(2.0 * np.abs(np.sin(0.5 * angles)) / np.sqrt(2.0 * np.maximum(risen, 1e-6))))
+    if np.degrees(wide_rad) <= MAX_ROTATION_SIGMA_DEG:
+        wider = max(wide_rad / sigma_rad, 1.0)
+        return replace(found, solved=replace(solved, variance_factor=solved.variance_factor * wider**2)), None
+    reason = heading_unknown(float(np.degrees(wide_rad)))
+    refused = replace(found, status=Status.LOW_PARALLAX, keyframes=request.keyframes, solved=None, reason=reason)
+    lowest, state = min(held, key=lambda h: h[0])
+    return refused, turned(request.keyframes, state.R_cam_enu) if lowest < held[0][0] else None
+
+
+def _held(found: Weighed, axis_enu: Array, angle_rad: float) -> tuple[float, State]:
+    """The cost where all views are held turned by this angle, in units of the noise as it was found, and the state."""
+    first, problem = found.solution, found.problem
+    start = turned_as_one(first.state, angle_rad * axis_enu, problem)
+    held = TurnPrior(problem.layout, start.R_cam_enu, axis_enu, HELD)
+    priors = [*problem.priors, cast(Prior, held)]  # no sensor's, but the solver asks nothing else of one
+    solution = approximate(replace(problem, priors=priors), start)
+    if share_below(solution.state, problem.weight > 0) < MIN_AHEAD:
+        return np.inf, start  # turned over: the ground is not above the aircraft
+    r = held.evaluate(solution.state)[0]
+    return (solution.cost - 0.5 * float(r @ r)) / _noise_shown(first, problem), solution.state
+
+
+def turned_as_one(state: State, turn_enu_rad: Array, problem: Problem) -> State:
+    """Views, points and the ground's plane turned about the middle of the views, so that pictures stay what they are.
+
+    Views are turned by `turn_enu_rad` (3,) of their own axes, what they see by its opposite.
+    """
+    E, middle = exp_so3(turn_enu_rad), state.centres_enu_m.mean(axis=0)
+    points, centres = ((x - middle) @ E + middle for x in (state.points_enu_m, state.centres_enu_m))
+    plane = state.plane
+    if problem.terrain is None:
+        plane, _ = fit_plane(points - problem.reference_enu_m)
+    return replace(state, R_cam_enu=state.R_cam_enu @ E, centres_enu_m=centres, points_enu_m=points, plane=plane)

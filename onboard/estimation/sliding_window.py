@@ -22,7 +22,6 @@ from onboard.estimation.clock_profile import ClockProfile
 from onboard.estimation.factors import RATES
 from onboard.estimation.ground_slope import GroundSlope, SlopePrior, SlopeSeen, seen_alone
 from onboard.estimation.information import Information
-from onboard.estimation.initialisation import follow
 from onboard.estimation.keyframe import Keyframe, Observation, seen_with, stamp_sigma_s
 from onboard.estimation.moved_optics import MOVED
 from onboard.estimation.platform_states import DELAY, OFFSET, STATES
@@ -38,7 +37,7 @@ from onboard.estimation.solved_window import Solved
 from onboard.estimation.window_acceptance import MIN_POINTS, Memory
 from onboard.estimation.window_request import Noise, Outcome, Request
 from onboard.estimation.window_solver import adjust
-from onboard.estimation.window_start import start_tolerance_rad
+from onboard.estimation.window_start import follow, start_tolerance_rad
 from onboard.geometry.relative_orientation import rotation_only
 from onboard.geometry.terrain_grid import Terrain
 from onboard.navigation.navigator import NavState

@@ -98,7 +98,7 @@ class WindowProblem:
         rows = self.rows
         if rows is None:
             still = np.zeros((len(self.keyframes), 3))
-            rows = Sweep(0.0, window_start.row_shares(self.keyframes, self.ids), still, still, scale_s=1.0)
+            rows = Sweep(0.0, window_start.grid(self.request, self.ids)[3], still, still, scale_s=1.0)
         return replace(window, rows=replace(rows, sigma_rate_rad_s=OPEN / rows.scale_s))
 
     def without_known_ground(self, weighed: Weighed) -> Solution:
@@ -139,7 +139,7 @@ def from_request(request: Request) -> WindowProblem | Outcome:
     xy, raw, weight, share = window_start.grid(request, ids)
     start = window_start.oriented(request, xy, weight > 0)
     if start is None:
-        status = Status.LOW_PARALLAX if window_start.travel_m(keyframes) < 1.0 else Status.POOR_FIT
+        status = Status.POOR_FIT if window_start.has_baseline(keyframes) else Status.LOW_PARALLAX
         return Outcome(status, keyframes, noise, reason="no camera orientation fits the pictures")
     keyframes = start
     rows = window_start.sweep(request, keyframes, share)

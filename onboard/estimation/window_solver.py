@@ -19,8 +19,14 @@ from onboard.estimation.factors import WAVES, AttitudePrior, Layout, Prior, Stat
 from onboard.estimation.ground_motion import ground_motion, ground_sigma_m_s
 from onboard.estimation.keyframe import Ids, have_attitude
 from onboard.estimation.pixel_noise import fit_of, view_states
-from onboard.estimation.rotation_profile import MAX_ROTATION_SIGMA_DEG, by_profile, heading_unknown
-from onboard.estimation.second_start import is_far_worse, likelier, other_starts
+from onboard.estimation.second_start import (
+    MAX_ROTATION_SIGMA_DEG,
+    by_profile,
+    heading_unknown,
+    is_far_worse,
+    likelier,
+    other_starts,
+)
 from onboard.estimation.sensor_groups import Innovation, failing_groups, innovations
 from onboard.estimation.sensor_table import PARTS
 from onboard.estimation.shared_errors import shared_errors

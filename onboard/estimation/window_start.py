@@ -1,6 +1,12 @@
-"""Where a window's adjustment begins: measurements on a grid, orientations, points, and the ground plane."""
+"""Where a window's adjustment begins: measurements on a grid, orientations, points, and the ground plane.
+
+Where no sensor gives attitude, one pair with a long baseline and many common features is oriented by `start_pair`; the
+other views follow from its points, the one that sees most of them next. Seed, section 2.2.
+"""
 
 from __future__ import annotations
+
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,7 +14,7 @@ from numpy.typing import NDArray
 from contract.camera import Camera
 from contract.rolling_shutter import row_share
 from contract.rotations import exp_so3
-from onboard.estimation import camera_states, initialisation
+from onboard.estimation import camera_states
 from onboard.estimation.factors import RATES, Layout, State
 from onboard.estimation.keyframe import Ids, Keyframe, have_attitude, swept, turned
 from onboard.estimation.platform_states import BORESIGHT
@@ -16,47 +22,39 @@ from onboard.estimation.rolling_shutter import LEAST_READOUT_S, Sweep, rates_bet
 from onboard.estimation.window_acceptance import MIN_POINTS
 from onboard.estimation.window_request import Request
 from onboard.geometry.plane_fit import fit_plane
+from onboard.geometry.relative_orientation import ENOUGH, relative_ransac, rotation_only, start_pair
 from onboard.geometry.triangulation import on_plane, triangulate
+from onboard.navigation.limits import MOST_OF
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 MIN_PARALLAX_RAD = 0.008  # below this a point starts on the ground plane and not where its rays meet
+MIN_BASELINE_M = 1.0  # below it positions give no direction of travel
+ENOUGH_COMMON = 15  # features of a pair that is to be oriented
 START_SIGMAS = 5.0  # of an inlier at the start, at 640 px width: larger pictures have larger calibration errors
 
 
-def travel_m(keyframes: tuple[Keyframe, ...]) -> float:
-    """How far the positions reach along the axes (m)."""
+def has_baseline(keyframes: tuple[Keyframe, ...]) -> bool:
+    """Whether the positions reach far enough to give a direction of travel."""
     positions = np.stack([k.nav.position_enu_m for k in keyframes])
-    return float(np.linalg.norm(np.ptp(positions, axis=0)))
+    return float(np.linalg.norm(np.ptp(positions, axis=0))) >= MIN_BASELINE_M
 
 
 def grid(request: Request, ids: Ids) -> tuple[Array, Array, Array, Array]:
     """On the (keyframe, point) grid: measurements at each picture's moment, as its rows saw them, weights, and rows.
 
-    A row is given as the share of the readout at which it is exposed.
+    A row is given as the share of the readout at which it is exposed, if rows are read in turn. (18.1)
     """
     xy = np.zeros((len(request.keyframes), len(ids), 2))
-    raw = np.zeros_like(xy)
-    weight, share = np.zeros(xy.shape[:2]), np.zeros(xy.shape[:2])
+    raw, weight, share = np.zeros_like(xy), np.zeros(xy.shape[:2]), np.zeros(xy.shape[:2])
     for k, keyframe in enumerate(request.keyframes):
         seen = keyframe.observation
-        at = np.minimum(np.searchsorted(ids, seen.ids), len(ids) - 1)
-        known = ids[at] == seen.ids
-        xy[k, at[known]], raw[k, at[known]] = seen.xy[known], seen.raw_xy[known]
-        share[k, at[known]] = seen.share[known]
-        weight[k, at[known]] = 1.0 / (request.noise.pixel_sigma_px * seen.gain[known])
-    return xy, raw, weight, share
-
-
-def row_shares(keyframes: tuple[Keyframe, ...], ids: Ids) -> Array:
-    """The share (K, P) of a readout at which each measurement's row is exposed, if rows are read in turn. (18.1)"""
-    share = np.zeros((len(keyframes), len(ids)))
-    for k, keyframe in enumerate(keyframes):
-        seen = keyframe.observation
-        _, at, of = np.intersect1d(ids, seen.ids, return_indices=True)
+        _, at, of = np.intersect1d(ids, seen.ids, assume_unique=True, return_indices=True)
+        xy[k, at], raw[k, at] = seen.xy[of], seen.raw_xy[of]
         share[k, at] = row_share(seen.uv_px[of, 1], seen.camera.height_px)
-    return share
+        weight[k, at] = 1.0 / (request.noise.pixel_sigma_px * seen.gain[of])
+    return xy, raw, weight, share
 
 
 def sweep(request: Request, keyframes: tuple[Keyframe, ...], share: Array) -> Sweep | None:
@@ -105,22 +103,80 @@ def with_found_rates(
 
 def oriented(request: Request, xy: Array, seen: Mask) -> tuple[Keyframe, ...] | None:
     """The keyframes, each with a starting orientation; None if the rays support none."""
-    keyframes, camera = request.keyframes, request.camera
-    if request.is_oriented or have_attitude(keyframes):
-        return keyframes
-    if request.previous is not None and all(k.is_oriented for k in keyframes):
+    keyframes = request.keyframes
+    is_followed = request.previous is not None and all(k.is_oriented for k in keyframes)
+    if request.is_oriented or is_followed or have_attitude(keyframes):
         return keyframes
     centres = np.stack([k.nav.position_enu_m for k in keyframes])
-    tolerance_rad = start_tolerance_rad(request.noise.pixel_sigma_px, camera)
-    rotations = initialisation.orient(xy, seen, centres, request.R_body_cam, tolerance_rad)
-    if rotations is None:
-        return None
-    return turned(keyframes, rotations)
+    tolerance_rad = start_tolerance_rad(request.noise.pixel_sigma_px, request.camera)
+    rotations = orient(xy, seen, centres, request.R_body_cam, tolerance_rad)
+    return None if rotations is None else turned(keyframes, rotations)
 
 
 def start_tolerance_rad(pixel_sigma_px: float, camera: Camera) -> float:
     """Epipolar error of an inlier at the start."""
     return START_SIGMAS * pixel_sigma_px * max(1.0, camera.width_px / 640.0) / camera.focal_px
+
+
+def orient(xy: Array, seen: Mask, centres_enu_m: Array, R_body_cam: Array, tolerance_rad: float) -> Array | None:
+    """R_cam_enu (K, 3, 3) of every view; None if no pair of them can be oriented.
+
+    Normalised image coordinates `xy` (K, P, 2), `seen` (K, P), GPS `centres_enu_m` (K, 3); `tolerance_rad` is an
+    inlier's epipolar error.
+    """
+    common = (seen.astype(int) @ seen.T.astype(int)).astype(float)
+    between = centres_enu_m[:, None] - centres_enu_m[None]
+    # What was climbed tells no heading, and a pair that has hardly anything else would be given any.
+    level2 = np.square(between[..., :2]).sum(axis=-1)
+    baseline = level2 / np.maximum(np.sqrt(level2 + np.square(between[..., 2])), 1e-9)
+    score = np.where(common >= ENOUGH_COMMON, baseline * np.sqrt(np.minimum(common, 60.0)), 0.0)
+    rays = np.concatenate([xy, np.ones((*seen.shape, 1))], axis=2)
+    best = sorted(combinations(range(len(seen)), 2), key=lambda pair: (score[pair], pair), reverse=True)[:3]
+    for i, j in best:
+        both = np.flatnonzero(seen[i] & seen[j])
+        travel_enu_m = centres_enu_m[j] - centres_enu_m[i]
+        if score[i, j] <= 0.0:
+            break
+        pair = start_pair(rays[i, both], rays[j, both], travel_enu_m, R_body_cam, tolerance_rad)
+        if pair is None:
+            continue
+        known = np.isin(np.arange(seen.shape[1]), both[pair.inliers])
+        rotations = _spread(rays, seen, centres_enu_m, {i: pair.first, j: pair.second}, known)
+        if rotations is not None:
+            return rotations
+    return None
+
+
+def _spread(rays: Array, seen: Mask, centres: Array, oriented: dict[int, Array], known: Mask) -> Array | None:
+    """Orient the remaining views from triangulated points, the view that sees most of them next."""
+    while len(oriented) < len(centres):
+        views = sorted(oriented)
+        R = np.stack([oriented[k] for k in views])
+        cloud = triangulate(R, centres[views], rays[views, :, :2], seen[views])
+        known = cloud.is_ahead & ((np.count_nonzero(seen[views], axis=0) > 2) | known | (cloud.parallax_rad > 0.02))
+        waiting = [k for k in range(len(centres)) if k not in oriented]
+        best = max(waiting, key=lambda k: int(np.count_nonzero(seen[k] & known)))
+        use = seen[best] & known
+        if np.count_nonzero(use) < ENOUGH:
+            return None
+        oriented[best] = rotation_only(cloud.points_enu_m[use] - centres[best], rays[best, use])
+    return np.stack([oriented[k] for k in range(len(centres))])
+
+
+def follow(rays_before: Array, rays: Array, R_before: Array, travel_enu_m: Array, tolerance_rad: float) -> Array | None:
+    """R_cam_enu of a view from the one before it, whose orientation is known, and the positions of both. (3.4)
+
+    For a view that sees no point whose place is known, as after a quick roll. `rays_before`, `rays` (N, 3): features
+    that both see, third coordinate 1; `travel_enu_m` (3,) between them; `tolerance_rad` is an inlier's epipolar error.
+    None where too few features support any rotation.
+    """
+    if len(rays) < ENOUGH_COMMON:
+        return None
+    start = rotation_only(rays_before, rays)
+    if float(np.linalg.norm(travel_enu_m)) < MIN_BASELINE_M:
+        return start @ R_before
+    Q, inliers = relative_ransac(rays_before, rays, R_before @ travel_enu_m, tolerance_rad, Q=start)
+    return Q @ R_before if np.count_nonzero(inliers) >= MOST_OF * len(rays) else None
 
 
 def starting_points(
@@ -145,9 +201,6 @@ def starting_points(
         plane = np.array([newest.position_enu_m[2] - height, 0.0, 0.0])
     if np.any(np.abs(plane[1:]) > 0.6):  # steeper than any ground an orientation was right about
         plane = np.array([float(np.median(points[sound, 2])), 0.0, 0.0])
-    loose = ~sound
-    if np.any(loose):
-        points[loose] = on_plane(R, C, xy, seen, plane)[loose]
-    reference = np.array([*np.median(points[:, :2], axis=0), 0.0])
-    reference[2] = plane[0] + plane[1:] @ reference[:2]
-    return points, reference, np.array([0.0, plane[1], plane[2]])
+    points = np.where(sound[:, None], points, on_plane(R, C, xy, seen, plane))
+    middle = np.median(points[:, :2], axis=0)
+    return points, np.array([*middle, plane[0] + plane[1:] @ middle]), np.array([0.0, *plane[1:]])

@@ -5,7 +5,7 @@ Public:
 - `linalg`: `solve_positive`, `solve_small`
 - `planar_ambiguity`: `mirrored`
 - `plane_fit`: `fit_plane`
-- `relative_orientation`: `relative_ransac`, `rotation_only`, `start_pair`
+- `relative_orientation`: `ENOUGH`, `relative_ransac`, `rotation_only`, `start_pair`
 - `plane_homography`: `HomographyFit`, `Pose`, `fit_homography`, `move`, `pixel_grid`, `predict_homography`,
   `predict_pixels`
 - `robust`: `middle`, `robust_cost`, `cauchy_weight`, `irls`, `median_chi2`, `OUTLIER_SIGMAS`, `IMPOSSIBLE_SIGMAS`

@@ -9,8 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 from contract.rotations import R_ENU_NED, exp_so3, log_so3, mount_rotation
-from onboard.estimation import initialisation
-from onboard.estimation.initialisation import orient
+from onboard.estimation import window_start
+from onboard.estimation.window_start import orient
 from onboard.geometry.relative_orientation import start_pair
 from tests.onboard.scenes import CAMERA
 
@@ -27,7 +27,7 @@ def test_a_climb_and_a_few_metres_of_travel_give_the_travels_heading(
         baselines.append(given[2])
         return start_pair(*given)
 
-    monkeypatch.setattr(initialisation, "start_pair", noted)
+    monkeypatch.setattr(window_start, "start_pair", noted)
     rng = np.random.default_rng(seed)
     R_body_cam = mount_rotation(0.0, -90.0, mount_yaw_deg)
     climbed = [[0.0, 0.0, z] for z in (18.0, 25.0, 40.0, 88.0, 100.0)]

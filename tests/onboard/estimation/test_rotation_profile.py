@@ -10,7 +10,7 @@ import pytest
 from contract.feature_set import Status
 from contract.rotations import exp_so3
 from onboard.estimation.bundle_adjustment import image_residuals
-from onboard.estimation.rotation_profile import TurnPrior, by_profile, turned_as_one, weakest_turn
+from onboard.estimation.second_start import TurnPrior, by_profile, turned_as_one, weakest_turn
 from onboard.estimation.window_request import Outcome, Request
 from onboard.estimation.window_solver import _adjusted, adjust
 from tests.onboard.scenes import FULL, SEED_SENSORS, SceneSpec, bundle_problem, draw

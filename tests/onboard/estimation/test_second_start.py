@@ -9,7 +9,7 @@ import pytest
 
 from contract.feature_set import Status
 from contract.rotations import log_so3
-from onboard.estimation import initialisation
+from onboard.estimation import window_start
 from onboard.estimation.keyframe import turned
 from onboard.estimation.second_start import likelier, other_starts
 from onboard.estimation.window_acceptance import by_itself
@@ -103,7 +103,7 @@ def test_without_attitude_a_solution_from_the_path_alone_needs_confirmation(monk
     request = scene.window().prepare()
     true = adjust(request)
     assert true.status is Status.OK
-    monkeypatch.setattr(initialisation, "orient", lambda *_: None)
+    monkeypatch.setattr(window_start, "orient", lambda *_: None)
     assert adjust(request).status is Status.POOR_FIT  # the rays support no start, and nothing says the path is right
 
 

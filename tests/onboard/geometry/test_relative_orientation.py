@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from contract.rotations import R_ENU_NED, exp_so3, log_so3, matrix_from_euler, mount_rotation
-from onboard.estimation import initialisation
+from onboard.estimation import window_start
 from onboard.geometry.relative_orientation import (
     _five_point,
     absolute_from_direction,
@@ -307,9 +307,9 @@ def test_a_whole_window_is_oriented_from_its_best_pair() -> None:
     p = np.einsum("kij,kpj->kpi", R, points[None] - centres[:, None])
     xy = p[..., :2] / p[..., 2:] + PIXEL * rng.standard_normal((K, 120, 2))
     seen = (np.abs(xy[..., 0]) < 0.36) & (np.abs(xy[..., 1]) < 0.27)
-    found = initialisation.orient(xy, seen, centres, R_body_cam, TOLERANCE)
+    found = window_start.orient(xy, seen, centres, R_body_cam, TOLERANCE)
     assert found is not None
     assert max(angle_deg(a, b) for a, b in zip(found, R, strict=True)) < 6.0
     relative = [angle_deg(found[k] @ found[0].T, R[k] @ R[0].T) for k in range(1, K)]
     assert 0.0 < max(relative) < 1.5
-    assert initialisation.orient(xy, seen & (np.arange(120) < 10), centres, R_body_cam, TOLERANCE) is None
+    assert window_start.orient(xy, seen & (np.arange(120) < 10), centres, R_body_cam, TOLERANCE) is None
