@@ -27,7 +27,7 @@ from onboard.estimation import (
     window_solver,
 )
 from onboard.navigation import position_jumps, position_slip
-from onboard.pipeline import mount_trial, pipeline
+from onboard.pipeline import mount_selection, pipeline
 
 Replacement = tuple[Any, str, Any]  # module or class, name, neutral value
 
@@ -145,7 +145,9 @@ MECHANISMS = (
         ((moved_optics, "found", gives(None)),),
     ),
     Mechanism(
-        "mount trial", "pictures alone tell gimbal and mount", ((mount_trial.MountTrials, "begin", gives(None)),)
+        "mount trial",
+        "pictures alone tell gimbal and mount",
+        ((mount_selection.MountSelection, "begin_trials", gives(None)),),
     ),
     Mechanism("position doubt", "a jump leaves no doubt", ((position_jumps.PositionJumps, "at", gives(np.zeros(2))),)),
     Mechanism(

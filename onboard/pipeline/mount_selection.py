@@ -4,30 +4,43 @@ An autopilot may report a gimbal that is not there, one that carries another cam
 where the message's flags promise angles against the horizon (ArduPilot 4.7's servo gimbal does). A wrong choice turns
 the camera by tens of degrees. So each hypothesis predicts, from the vehicle's own motion, where a keyframe's features
 come to lie in the next pictures, and the one that predicts them best is selected once it is clearly ahead.
+
+Pictures that come rarely, of a camera that a gimbal holds level under a leaning aircraft, move nearly as with a fixed
+mount. But a window's solve with the wrong attitudes contradicts its positions: where the accepted hypothesis is
+refused, the window is solved again by every other, and one that alone fits, several keyframes in a row, is selected.
+What was seen meanwhile is kept: only the attitudes are exchanged.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from contract.camera import Camera
+from contract.feature_set import Status
 from contract.rotations import log_so3
+from onboard.estimation.keyframe import turned
+from onboard.estimation.sliding_window import Window
+from onboard.estimation.solver_executor import Promise, Worker, timed_adjust
+from onboard.estimation.window_request import Noise, Outcome, Request
 from onboard.geometry.plane_homography import Pose, predict_pixels
 from onboard.navigation.gimbal import MountHypothesis
 from onboard.navigation.limits import MOST_OF
 from onboard.navigation.navigator import Navigation, NavState
+from onboard.pipeline.record_book import Record
+from onboard.vision.klt_tracker import PREDICTED_SHARE
 
 Array = NDArray[np.float64]
 
-SIGMA_RAD = 0.01  # of a predicted feature: attitude noise, a little delay
-SIGMA_SHARE = 0.15  # of how far it moved: height above ground
+SIGMA_RAD = 0.01  # of a predicted feature, with `PREDICTED_SHARE` of how far it moved: attitude noise, a little delay
 MOST = 9.0  # largest cost that one picture adds
 MEMORY = 0.97  # decay of the cost per picture: about the last thirty count
 LEAD = 20.0  # by which the cost of one hypothesis must be below all others
 ALIKE_RAD = 0.05  # hypotheses this close need no decision
+WINS = 2  # solves in a row that only one other hypothesis fits
 
 
 def cost_of(
@@ -42,20 +55,25 @@ def cost_of(
     if np.count_nonzero(known) < MOST_OF * len(from_px):
         return MOST  # the right poses have a prediction for most
     miss_px = float(np.median(np.linalg.norm(predicted_px[known] - to_px[known], axis=1)))
-    return min((miss_px / (sigmas * (SIGMA_RAD * camera.focal_px + SIGMA_SHARE * flow_px))) ** 2, MOST)
+    return min((miss_px / (sigmas * (SIGMA_RAD * camera.focal_px + PREDICTED_SHARE * flow_px))) ** 2, MOST)
 
 
 class MountSelection:
-    """Fed with every picture's tracks; knows which mount hypothesis predicts them, once one clearly does."""
+    """Fed with every picture's tracks and every window; knows the mount hypothesis once they clearly show one."""
 
     def __init__(self, camera: Camera, R_body_cam: Array) -> None:
-        self._camera, self._R_body_cam = camera, R_body_cam
+        self.camera = camera  # that the tracks' pixels are by
+        self._R_body_cam = R_body_cam
         self._scores: dict[MountHypothesis, float] = {}
+        self._trials: dict[MountHypothesis, Promise] = {}
+        self._noise: dict[MountHypothesis, Noise] = {}  # as earlier windows have found it by each hypothesis
+        self._leader: MountHypothesis | None = None  # of trials
+        self._wins = 0
         self.verdict: MountHypothesis | None = None
 
     def is_open(self, nav: NavState) -> bool:
         """Whether hypotheses differ at this picture and none has been selected yet."""
-        return self.verdict is None and _differ(nav.mount_hypotheses)
+        return self.verdict is None and _differ(nav.mount_hypotheses.values())
 
     def carrier(self, navigation: Navigation) -> str:
         """What the camera is assumed to be mounted on, and why, in words."""
@@ -72,37 +90,102 @@ class MountSelection:
             return f"{navigation.mount_hypothesis.value}; not yet confirmed by the pictures"
         return f"{self.verdict.value}, as the pictures show"
 
-    def change_lens(self, camera: Camera) -> None:
-        """Take pixels by another lens from now on."""
-        self._camera = camera
-
-    def may_be(self, mount_hypothesis: MountHypothesis) -> bool:
-        """Whether the pictures' motion contradicts a hypothesis by less than would decide for another."""
-        least = min(self._scores.values(), default=0.0)
-        return self._scores.get(mount_hypothesis, 0.0) - least <= LEAD
-
     def weigh(self, was: NavState, now: NavState, plane: Array, from_px: Array, to_px: Array) -> None:
         """Take the tracks (N, 2) from keyframe `was` to picture `now`; `plane` (3,): ground height at the ENU origin
         and its slopes. Does nothing where the hypotheses are the same.
         """
-        if not _differ(now.mount_hypotheses) or not len(from_px):
+        attitudes = now.mount_hypotheses
+        if not _differ(attitudes.values()):
             return
-        both = [c for c in now.mount_hypotheses if c in was.mount_hypotheses]
-        for reading in both:
-            poses = [Pose((n.mount_hypotheses[reading] @ self._R_body_cam).T, n.position_enu_m) for n in (was, now)]
-            cost = cost_of(self._camera, poses, plane, from_px, to_px)
-            self._scores[reading] = MEMORY * self._scores.get(reading, 0.0) + cost
+        both = [c for c in attitudes if c in was.mount_hypotheses]
+        for hypothesis in both:
+            poses = [Pose((n.mount_hypotheses[hypothesis] @ self._R_body_cam).T, n.position_enu_m) for n in (was, now)]
+            cost = cost_of(self.camera, poses, plane, from_px, to_px)
+            self._scores[hypothesis] = MEMORY * self._scores.get(hypothesis, 0.0) + cost
         best = min(both, key=lambda c: self._scores[c])
-        others = [c for c in both if unlike(now.mount_hypotheses[c], now.mount_hypotheses[best])]
+        others = [c for c in both if _differ((attitudes[c], attitudes[best]))]
         if others and min(self._scores[c] for c in others) - self._scores[best] > LEAD:
             self.verdict = best
 
+    def begin_trials(self, window: Window, worker: Worker, navigation: Navigation) -> None:
+        """Submit the newest request by the other hypotheses, if that is open and nothing is solved yet."""
+        self._trials = {}
+        newest = window.keyframes[-1].nav
+        own = newest.mount_hypotheses.get(navigation.mount_hypothesis)
+        if window.solved is not None or own is None or not self.is_open(newest):
+            return
+        for hypothesis, R in newest.mount_hypotheses.items():
+            request = _request(window, hypothesis, self._noise.get(hypothesis)) if _differ((R, own)) else None
+            if request is not None:
+                self._trials[hypothesis] = worker.submit(timed_adjust, request)
 
-def _differ(mount_hypotheses: Mapping[MountHypothesis, Array]) -> bool:
-    attitudes = list(mount_hypotheses.values())
-    return any(unlike(attitudes[0], other) for other in attitudes[1:])
+    def judged(
+        self, outcome: Outcome, window: Window, records: list[Record], navigation: Navigation
+    ) -> tuple[Outcome, float]:
+        """The outcome to continue with, and the processor time of trials. Where it is another hypothesis's, that one is
+        accepted from now on, and window and records hold it.
+        """
+        done = {hypothesis: promise.result() for hypothesis, promise in self._trials.items()}
+        self._trials = {}
+        self._noise |= {hypothesis: each.outcome.noise for hypothesis, each in done.items()}
+        spent_s = sum(each.processor_s for each in done.values())
+        fitting = [hypothesis for hypothesis, each in done.items() if each.outcome.status is Status.OK]
+        held = outcome.keyframes[-1].nav.mount_hypotheses
+        if outcome.status is not Status.POOR_FIT or not fitting or _differ(held[c] for c in fitting):
+            self._leader, self._wins = None, 0
+            return outcome, spent_s
+        leader = self._leader if self._leader in fitting else fitting[0]
+        self._wins = self._wins + 1 if leader is self._leader else 1
+        self._leader = leader
+        # The pictures' motion may contradict it by less than would decide for another.
+        is_possible = self._scores.get(leader, 0.0) - min(self._scores.values(), default=0.0) <= LEAD
+        if self._wins < WINS or not is_possible or not carry_over(window, records, navigation, leader):
+            return outcome, spent_s
+        self.verdict = leader
+        return done[leader].outcome, spent_s
 
 
-def unlike(one: Array, other: Array) -> bool:
-    """Whether two attitudes (3, 3) differ by so much that one of them must be chosen."""
-    return float(np.linalg.norm(log_so3(one.T @ other))) > ALIKE_RAD
+def _differ(attitudes: Iterable[Array]) -> bool:
+    """Whether any attitude (3, 3) differs from the first by so much that one of them must be chosen."""
+    known = list(attitudes)
+    return any(np.linalg.norm(log_so3(known[0].T @ other)) > ALIKE_RAD for other in known[1:])
+
+
+def _by_hypothesis(navs: Sequence[NavState], hypothesis: MountHypothesis) -> list[NavState] | None:
+    """The states with another hypothesis's attitudes; None where any has none."""
+    if any(hypothesis not in nav.mount_hypotheses for nav in navs):
+        return None
+    return [replace(nav, R_enu_body=nav.mount_hypotheses[hypothesis], attitude_sigma_rad=0.0) for nav in navs]
+
+
+def _request(window: Window, hypothesis: MountHypothesis, noise: Noise | None = None) -> Request | None:
+    """The window's newest request as it would be by another hypothesis: with the noise of its earlier windows, or
+    as if it were the first.
+    """
+    navs = _by_hypothesis([k.nav for k in window.keyframes], hypothesis)
+    if navs is None:
+        return None
+    attitudes = [R for nav in navs if (R := window.attitude_guess(nav)) is not None]  # all of them have one
+    keyframes = turned([replace(k, nav=nav) for k, nav in zip(window.keyframes, navs, strict=True)], attitudes)
+    noise = noise or Noise(window.config.solve.pixel_sigma_px, window.config.camera.sigma_jitter_s)
+    return replace(window.prepare(is_mount_open=True), keyframes=keyframes, previous=None, noise=noise)
+
+
+def carry_over(window: Window, records: list[Record], navigation: Navigation, hypothesis: MountHypothesis) -> bool:
+    """Exchange the attitudes of all that a window and its pictures hold for another hypothesis's, and accept that one.
+
+    What was solved by the old one is forgotten. False, with nothing exchanged, where any of them has no such attitude.
+    """
+    navigation.mount_hypothesis = hypothesis
+    request = _request(window, hypothesis) if window.keyframes else None
+    navs = _by_hypothesis([record.nav for record in records], hypothesis)
+    if request is None or navs is None:
+        return False
+    window.forget_solutions()
+    window.keyframes, window.noise = [], request.noise
+    for keyframe in request.keyframes:
+        rate = navigation.body_rate_at(keyframe.nav.stamp_ns + round(keyframe.nav_offset_s * 1e9))
+        window.keyframes.append(keyframe if rate is None else replace(keyframe, body_rate_rad_s=rate))
+    for record, nav in zip(records, navs, strict=True):
+        record.nav, record.placed, record.is_settled = nav, None, False
+    return True

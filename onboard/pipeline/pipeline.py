@@ -35,8 +35,7 @@ from onboard.navigation.navigator import Navigation, NavState
 from onboard.pipeline.estimates import found_in_flight
 from onboard.pipeline.frozen_frames import Staleness, Stillness
 from onboard.pipeline.keyframes import look_up_again, profile_of, wants_keyframe
-from onboard.pipeline.mount_selection import MountSelection
-from onboard.pipeline.mount_trial import MountTrials, carry_over
+from onboard.pipeline.mount_selection import MountSelection, carry_over
 from onboard.pipeline.picture_motion import TURN_RAD_S, ground_so_far, predict_motion, seen_at, what_parts
 from onboard.pipeline.placing import Placing
 from onboard.pipeline.record_book import Pending, Record, RecordBook
@@ -87,7 +86,6 @@ class Pipeline:
         self._lens_doubt = LensDoubt()
         self._frame_doubt = FrameDoubt()
         self.zoom = ZoomFollowing(camera, config.camera.sigma_zoom)
-        self._trials = MountTrials(self.mount_selection)
         self.placing = Placing()
         self._waiting: deque[Frame] = deque()
         self._book = RecordBook(config)
@@ -227,7 +225,7 @@ class Pipeline:
             self.window.change_lens(*stands)
             self._lens_doubt.settle()
             self.camera = self.window.camera
-            self.mount_selection.change_lens(self.camera)
+            self.mount_selection.camera = self.camera
 
     def _take_tracks(self, frame: Frame, nav: NavState, tracks: Tracks, is_slow: bool) -> None:
         """A tracked picture becomes a keyframe, is placed now or later, or has too few tracks for either."""
@@ -323,7 +321,7 @@ class Pipeline:
         record = Record(frame, lambda: seen, nav, is_keyframe=True)
         self._book.records.append(record)
         promise = self.worker.submit(timed_adjust, self.window.prepare(is_mount_open=self.mount_selection.is_open(nav)))
-        self._trials.begin(self.window, self.worker, self.navigation)
+        self.mount_selection.begin_trials(self.window, self.worker, self.navigation)
         self._pending = Pending(promise, record, reason, self._now_ns + ADOPTION_NS)
         if reason is None:
             self._place(record)
@@ -334,7 +332,7 @@ class Pipeline:
         if pending is None:
             return
         done, record = pending.promise.result(), pending.record
-        outcome, trials_s = self._trials.judged(done.outcome, self.window, self._book.records, self.navigation)
+        outcome, trials_s = self.mount_selection.judged(done.outcome, self.window, self._book.records, self.navigation)
         self._statistics.stage_seconds["solve"] += done.processor_s + trials_s
         is_open = self.mount_selection.is_open(record.nav)
         clock = None if is_open else profile_of(outcome, self.window, self.navigation)
