@@ -54,9 +54,18 @@ class Keyframe:
     is_oriented: bool = True  # False: nothing has given an orientation yet, and `R_cam_enu` holds the mount's alone
 
 
-def observation(camera: Camera, ids: Ids, uv_px: Array, moving: Moving | None = None) -> Observation:
-    """Undistort pixels once; those without a ray are left out. `moving`: of a picture read row by row. (18.3)"""
-    return _undistorted(camera, ids, uv_px, None, moving)
+def observation(
+    camera: Camera, ids: Ids, uv_px: Array, moving: Moving | None = None, near: Array | None = None
+) -> Observation:
+    """Undistort pixels once, beginning at `near` (N, 2); those without a ray are left out. (18.3)"""
+    rays, valid = camera.unproject(uv_px, near)
+    ids, uv_px, xy = ids[valid], uv_px[valid], rays[valid, :2]
+    gain = 1.0 / (camera.focal_px * np.sqrt(np.maximum(np.abs(camera.area_gain(xy)), 0.05)))
+    if moving is None:
+        return Observation(camera, ids, uv_px, xy, gain, xy, np.zeros(len(xy)))
+    share = np.asarray(row_share(uv_px[:, 1], camera.height_px))
+    at_once = xy - moving.readout_s * moving.by_readout(xy, share)
+    return Observation(camera, ids, uv_px, at_once, gain, xy, share, moving)
 
 
 def seen_with(camera: Camera, seen: Observation, readout_s: float = 0.0) -> Observation:
@@ -64,18 +73,7 @@ def seen_with(camera: Camera, seen: Observation, readout_s: float = 0.0) -> Obse
     moving = None if seen.moving is None else replace(seen.moving, readout_s=readout_s)
     if camera == seen.camera and (seen.moving is None or seen.moving.readout_s == readout_s):
         return seen
-    return _undistorted(camera, seen.ids, seen.uv_px, seen.raw_xy, moving)
-
-
-def _undistorted(camera: Camera, ids: Ids, uv_px: Array, near: Array | None, moving: Moving | None) -> Observation:
-    rays, valid = camera.unproject(uv_px, near)
-    xy = rays[valid, :2]
-    gain = 1.0 / (camera.focal_px * np.sqrt(np.maximum(np.abs(camera.area_gain(xy)), 0.05)))
-    if moving is None:
-        return Observation(camera, ids[valid], uv_px[valid], xy, gain, xy, np.zeros(len(xy)))
-    share = np.asarray(row_share(uv_px[valid, 1], camera.height_px))
-    at_once = xy - moving.readout_s * moving.by_readout(xy, share)
-    return Observation(camera, ids[valid], uv_px[valid], at_once, gain, xy, share, moving)
+    return observation(camera, seen.ids, seen.uv_px, moving, seen.raw_xy)
 
 
 def swept(keyframes: Sequence[Keyframe], rates_cam_rad_s: Array, readout_s: float) -> tuple[Keyframe, ...]:

@@ -17,20 +17,16 @@ from contract.feature_set import Status
 from contract.rotations import mount_rotation
 from onboard.config.schema import Config
 from onboard.estimation.boresight import Alignment, PlatformEstimate
-from onboard.estimation.camera_states import corrected, readout_s, taken, without_readout
+from onboard.estimation.camera_states import COUNT, corrected, readout_s, taken, without_readout
 from onboard.estimation.clock_profile import ClockProfile
 from onboard.estimation.factors import RATES
-from onboard.estimation.ground_slope import GroundSlope, SlopePrior, SlopeSeen, seen_alone
+from onboard.estimation.ground_slope import GroundSlope, SlopeSeen, seen_alone
 from onboard.estimation.information import Information
-from onboard.estimation.keyframe import Keyframe, Observation, seen_with, stamp_sigma_s
+from onboard.estimation.keyframe import Keyframe, Observation, have_attitude, seen_with, stamp_sigma_s
 from onboard.estimation.moved_optics import MOVED
 from onboard.estimation.platform_states import DELAY, OFFSET, STATES
 from onboard.estimation.second_start import by_attitude
-from onboard.estimation.sensor_factors import (
-    level_sigma,
-    shared_prior,
-    with_delays_held_open,
-)
+from onboard.estimation.sensor_factors import level_sigma, shared_prior, with_delays_held_open
 from onboard.estimation.sensor_pose import SensorPose
 from onboard.estimation.shared_errors import make_sensor_pose
 from onboard.estimation.solved_window import Solved
@@ -75,11 +71,10 @@ class Window:
             (config.camera.readout_s, config.camera.sigma_readout_s),
         )
         self.camera_taken = np.zeros_like(self.alignment.platform.mean[STATES:])  # what parts `camera` from its file
-        self.lever_body_m = np.array(mount.lever_arm_m)
         self.ground_slope = GroundSlope(level_sigma(config))
-        self._request: Request | None = None  # the newest
-        self._solved_under: PlatformEstimate | None = None  # the prior that `solved` began with
         self._times_s: tuple[float, float] | None = None  # offset and delay as the newest window found them
+        self._request = self.prepare()  # the newest
+        self._solved_under = self._request.platform  # the prior that `solved` began with
 
     @property
     def platform(self) -> PlatformEstimate:
@@ -135,7 +130,7 @@ class Window:
             self.alignment.platform.widened(nav.stamp_sigma_s),
             R_cam_enu,
             self.noise.factors_at(nav.stamp_ns),
-            self.R_body_cam.T @ self.lever_body_m,
+            self.R_body_cam.T @ np.array(self.config.mount.lever_arm_m),
             (self.noise.jitter_s, float(rate)),
         )
 
@@ -203,6 +198,7 @@ class Window:
         """The window as it stands, for `window_solver.adjust`; nothing done to the window later changes it."""
         self._see_with_estimate()  # which may have been restored from the state directory
         start_ns = self.keyframes[0].nav.stamp_ns if self.keyframes else 0
+        has_slope = self.config.solve.level_ground and self.keyframes
         self._request = Request(
             self.config,
             self.camera,
@@ -214,16 +210,11 @@ class Window:
             self.terrain,
             self.alignment.prior_for(start_ns).widened(stamp_sigma_s(self.keyframes)),
             self.noise,
-            self._slope_prior(start_ns),
+            self.ground_slope.prior_for(start_ns, self._place_enu_m()) if has_slope else None,
             self.memory,
             is_mount_open,
         )
         return self._request
-
-    def _slope_prior(self, start_ns: int) -> SlopePrior | None:
-        if not self.keyframes or not self.config.solve.level_ground:
-            return None
-        return self.ground_slope.prior_for(start_ns, self._place_enu_m())
 
     def _place_enu_m(self) -> Array:
         """Where the window is, level (2,)."""
@@ -244,12 +235,11 @@ class Window:
             self.solved = None  # what it places is placed through optics that it knows nothing of
         if outcome.lens_moved:
             self.alignment.lens_moved(outcome.lens_moved)
-        found = outcome.rejected if outcome.solved is None else outcome.solved
+        found = outcome.solved or outcome.rejected
         if found is not None:
             self.memory = self.memory.after(found, outcome.agreed, outcome.solved is not None)
         if outcome.solved is not None:
-            self._solved_under = None if self._request is None else self._request.platform
-            self.solved = self.memory.windows[-1]
+            self.solved, self._solved_under = self.memory.windows[-1], self._request.platform
             if len(self.keyframes) == self.config.solve.keyframes:
                 self._see_slope(outcome.solved)
                 if not outcome.noise.failing.fails_at(self.keyframes[-1].nav.stamp_ns):
@@ -277,7 +267,7 @@ class Window:
     def _see_slope(self, solved: Solved) -> None:
         """Keep what the window that `prepare` asked for alone says of the ground's slope."""
         request, layout = self._request, solved.layout
-        if request is None or request.slope is None or request.terrain is not None:
+        if request.slope is None or request.terrain is not None:
             return  # over a terrain model the plane is what that is off by
         start_ns, end_ns = self.keyframes[0].nav.stamp_ns, self.keyframes[-1].nav.stamp_ns
         prior = shared_prior(self.config, layout, request.platform, False, request.slope)
@@ -289,16 +279,15 @@ class Window:
 
     def learn(self, solved: Solved, clock: ClockProfile | None = None) -> None:
         """Offer a solved window's boresight and time offset as a posterior update."""
-        s, layout = solved.solution, solved.layout
-        if self.keyframes[0].nav.R_enu_body is None or stamp_sigma_s(self.keyframes):
+        if not have_attitude(self.keyframes) or stamp_sigma_s(self.keyframes):
             return
-        mean, shared = s.state.platform, layout.platform
+        mean, shared = solved.solution.state.platform, solved.layout.platform
         start, end = self.keyframes[0].nav.stamp_ns, self.keyframes[-1].nav.stamp_ns
-        covariance = solved.covariance_at((start + end) // 2)[shared, shared].copy()
+        covariance = solved.covariance_at((start + end) // 2)[shared, shared]
         covariance[OFFSET, OFFSET] += LEAST_SIGMA_S**2
         before = self.alignment.prior_for(start)
-        solved_under = with_delays_held_open(self.config, self._solved_under or before)
-        if RATES in layout.blocks:
+        solved_under = with_delays_held_open(self.config, self._solved_under)
+        if RATES in solved.layout.blocks:
             mean, covariance = without_readout(mean, covariance, solved_under.mean, solved_under.covariance)
         # What the window itself says is put upon the learned prior, which may be tighter: no delay held open.
         gained = Information.gained(mean, covariance, solved_under.mean, solved_under.covariance)
@@ -310,18 +299,16 @@ class Window:
     def camera_found(self) -> tuple[Camera, Sigma]:
         """The camera as the flight found it, and one sigma of each of its states; the file's own if it has none."""
         platform = self.alignment.platform
-        states, sigma = platform.mean[STATES:], platform.sigma[STATES:]
-        if not len(states):
+        if len(platform.mean) == STATES:
             return self.camera_file, self.camera_file.sigma
-        f, x, y, k1, k2 = (float(s) for s in sigma[:5])
-        return corrected(self.camera_file, states), (f, x, y, k1, k2)
+        f, x, y, k1, k2 = platform.sigma[STATES:][:COUNT].tolist()
+        return corrected(self.camera_file, platform.mean[STATES:]), (f, x, y, k1, k2)
 
     @property
     def readout(self) -> tuple[float, float]:
         """How long the rows take, as estimated now, and one sigma (s); 0 and 0 of a global shutter."""
         camera, platform = self.config.camera, self.alignment.platform
-        states, sigma = platform.mean[STATES:], platform.sigma[STATES:]
-        return camera.readout_s + readout_s(states), readout_s(sigma)
+        return camera.readout_s + readout_s(platform.mean[STATES:]), readout_s(platform.sigma[STATES:])
 
     def _see_with_estimate(self) -> None:
         """Where the estimate of the camera has moved, make the keyframes' observations again. Equation (15.2)."""
