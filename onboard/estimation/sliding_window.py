@@ -34,6 +34,7 @@ from onboard.estimation.window_acceptance import MIN_POINTS, Memory
 from onboard.estimation.window_request import Noise, Outcome, Request
 from onboard.estimation.window_solver import adjust
 from onboard.estimation.window_start import follow, start_tolerance_rad
+from onboard.geometry.plane_homography import Pose
 from onboard.geometry.relative_orientation import rotation_only
 from onboard.geometry.terrain_grid import Terrain
 from onboard.navigation.navigator import NavState
@@ -136,14 +137,13 @@ class Window:
 
     def position_guess(self, nav: NavState) -> Array:
         """The camera's centre by GPS, shifted as the newest solved keyframe was shifted by its solution."""
-        shift = np.zeros(3)
-        if self.solved is not None:
-            newest = self.solved.keyframes[-1]
-            shift = newest.centre_enu_m - newest.nav.position_enu_m
-        return nav.position_enu_m + shift
+        if self.solved is None:
+            return nav.position_enu_m
+        newest = self.solved.keyframes[-1]
+        return nav.position_enu_m + (newest.centre_enu_m - newest.nav.position_enu_m)
 
-    def pose_guess(self, seen: Observation, nav: NavState) -> tuple[Array, Array] | None:
-        """R_cam_enu and centre of a new view; None where nothing gives an orientation.
+    def pose_guess(self, seen: Observation, nav: NavState) -> Pose | None:
+        """Where a new view was taken from; None where nothing gives an orientation.
 
         From known points where there are enough, else from the autopilot, else from the newest keyframe.
         """
@@ -152,12 +152,12 @@ class Window:
             rows, known = self.solved.rows(seen.ids)
             if np.count_nonzero(known) >= MIN_POINTS:
                 directions = self.solved.solution.state.points_enu_m[rows[known]] - centre
-                rays = np.concatenate([seen.xy[known], np.ones((np.count_nonzero(known), 1))], axis=1)
-                return rotation_only(directions, rays, GUESS_STEPS), centre
+                rays = np.column_stack([seen.xy[known], np.ones(len(directions))])
+                return Pose(rotation_only(directions, rays, GUESS_STEPS), centre)
         attitude = self.attitude_guess(nav)
         if attitude is None:
             attitude = self._after_newest(seen, centre)
-        return None if attitude is None else (attitude, centre)
+        return None if attitude is None else Pose(attitude, centre)
 
     def _after_newest(self, seen: Observation, centre_enu_m: Array) -> Array | None:
         """R_cam_enu from what a view has in common with the newest keyframe, once that is oriented."""
@@ -165,9 +165,8 @@ class Window:
         if self.solved is None or newest is None or not newest.is_oriented:
             return None
         _, before, now = np.intersect1d(newest.observation.ids, seen.ids, assume_unique=True, return_indices=True)
-        ones = np.ones((len(now), 1))
-        rays_before = np.concatenate([newest.observation.xy[before], ones], axis=1)
-        rays = np.concatenate([seen.xy[now], ones], axis=1)
+        rays_before = np.column_stack([newest.observation.xy[before], np.ones(len(before))])
+        rays = np.column_stack([seen.xy[now], np.ones(len(now))])
         travel_enu_m = centre_enu_m - newest.centre_enu_m
         tolerance_rad = start_tolerance_rad(self.noise.pixel_sigma_px, self.camera)
         return follow(rays_before, rays, newest.R_cam_enu, travel_enu_m, tolerance_rad)
@@ -185,12 +184,11 @@ class Window:
         """Take a keyframe; the oldest leaves a full window. `flow_disagreement_px`: since the one before."""
         guess = self.pose_guess(seen, nav)
         # Without any attitude the start waits for the window's first solve; the mount alone is a placeholder.
-        R, centre = guess if guess is not None else (self.R_body_cam.T, nav.position_enu_m)
+        pose = guess or Pose(self.R_body_cam.T, nav.position_enu_m)
         rate = np.zeros(3) if body_rate_rad_s is None else body_rate_rad_s
         flow_disagreement_xy = None if flow_disagreement_px is None else flow_disagreement_px / self.camera.focal_px
-        made = Keyframe(
-            frame, seen, nav, rate, *times_s, displacement, R, centre, flow_disagreement_xy, guess is not None
-        )
+        start = pose.R_cam_enu, pose.centre_enu_m
+        made = Keyframe(frame, seen, nav, rate, *times_s, displacement, *start, flow_disagreement_xy, guess is not None)
         self.keyframes.append(made)
         del self.keyframes[: -self.config.solve.keyframes]
 

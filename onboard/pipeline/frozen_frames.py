@@ -1,8 +1,7 @@
-"""A camera that gives an old picture as new, though the aircraft has moved.
+"""A camera that gives an old picture as new, though the aircraft has moved: it would be placed where it was taken.
 
 The same to the last bit: no sensor gives the same noise twice. Or encoded again, so that bits differ: then nothing in
-it has moved where telemetry predicts that all must have. If accepted, such a picture places the camera where it was
-when it was taken.
+it has moved where telemetry predicts that all must have.
 """
 
 from __future__ import annotations
@@ -30,30 +29,26 @@ class Staleness:
     """Remembers the newest picture that was not a repetition, and where the vehicle then was."""
 
     def __init__(self) -> None:
-        self._image: NDArray[np.uint8] | None = None
-        self._nav: NavState | None = None
+        self._newest: tuple[NDArray[np.uint8], NavState] | None = None
 
     def is_stale(
         self, image: NDArray[np.uint8], nav: NavState, state_at: Callable[[int], NavState | Status] | None = None
     ) -> bool:
         """Whether a picture (H, W) is an old one, seen from elsewhere.
 
-        `state_at` looks the older picture's state up again: the time offset may have been learned since, and states by
-        different offsets differ though nothing has moved.
+        `state_at` looks the older picture's state up again: the time offset may have been learned since.
         """
-        before = self._nav
-        if before is None or self._image is None or not np.array_equal(image, self._image) or not np.ptp(image):
-            # A picture of one single grey (black, white, a lens cap) looks the same whether old or new: it has nothing
-            # to follow.
-            self._image, self._nav = image, nav
+        # A picture of one single grey (black, white, a lens cap) looks the same whether old or new.
+        if self._newest is None or not np.array_equal(image, self._newest[0]) or not np.ptp(image):
+            self._newest = image, nav
             return False
-        looked_up = before if state_at is None else state_at(before.stamp_ns)
-        before = before if isinstance(looked_up, Status) else looked_up
+        looked_up = None if state_at is None else state_at(self._newest[1].stamp_ns)
+        before = looked_up if isinstance(looked_up, NavState) else self._newest[1]
+        turned_rad = 0.0
+        if nav.R_enu_body is not None and before.R_enu_body is not None:
+            # The chord between two rotations is sqrt(2) times as long as their angle, for small angles.
+            turned_rad = float(np.linalg.norm(nav.R_enu_body - before.R_enu_body) / np.sqrt(2.0))
         moved_m = float(np.linalg.norm(nav.position_enu_m - before.position_enu_m))
-        if nav.R_enu_body is None or before.R_enu_body is None:
-            return moved_m > MOVED_M
-        # The chord between two rotations is sqrt(2) times as long as their angle, for small angles.
-        turned_rad = float(np.linalg.norm(nav.R_enu_body - before.R_enu_body) / np.sqrt(2.0))
         return moved_m > MOVED_M or turned_rad > TURNED_RAD
 
 

@@ -64,9 +64,7 @@ class MountSearch:
         self._tracker = tracker_for(camera.size_px, config.tracking.features, config.tracking.min_distance_px)
         self._waiting: deque[Frame] = deque(maxlen=100)  # for telemetry
         self._keyframe: NavState | None = None
-        self._ways = orientations()
-        self._turns = [mount_rotation(*angles) for angles in self._ways]
-        self._costs = np.zeros(len(self._ways))
+        self._costs = dict.fromkeys(orientations(), 0.0)
         self.pictures = 0
 
     def ranking(self, events: Iterable[tuple[int, Event]]) -> Ranking:
@@ -80,8 +78,8 @@ class MountSearch:
                 self._take(self._waiting.popleft())
             if self.pictures >= MOST_PICTURES:
                 break
-        order = np.argsort(self._costs, kind="stable")
-        return Ranking(tuple(self._ways[i] for i in order), tuple(self._costs[order].tolist()), self.pictures)
+        order, costs = zip(*sorted(self._costs.items(), key=lambda way: way[1]), strict=True)
+        return Ranking(order, costs, self.pictures)
 
     def _take(self, frame: Frame) -> None:
         nav = self._navigation.state_at(frame.stamp_ns)
@@ -99,9 +97,10 @@ class MountSearch:
         assert was.height_above_home_m is not None
         plane = np.array([was.position_enu_m[2] - was.height_above_home_m, 0.0, 0.0])
         self.pictures += 1
-        for i, R_body_cam in enumerate(self._turns):
+        for angles in self._costs:
+            R_body_cam = mount_rotation(*angles)
             poses = [Pose((n.R_enu_body @ R_body_cam).T, n.position_enu_m) for n in (was, now)]  # type: ignore[operator]
-            self._costs[i] += cost_of(self._camera, poses, plane, tracks.keyframe_uv_px, tracks.uv_px, ASKEW)
+            self._costs[angles] += cost_of(self._camera, poses, plane, tracks.keyframe_uv_px, tracks.uv_px, ASKEW)
 
 
 def _is_flying(nav: NavState) -> bool:

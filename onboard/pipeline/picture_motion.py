@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from contract.camera import Camera
 from contract.rolling_shutter import row_share
 from contract.rotations import exp_so3
-from onboard.estimation.keyframe import Observation, observation
 from onboard.estimation.platform_states import BORESIGHT, OFFSET
 from onboard.estimation.rolling_shutter import Moving, rates_between
 from onboard.estimation.sliding_window import Window
@@ -17,7 +16,6 @@ from onboard.navigation.attitude_interpolation import RATE_WINDOW_NS
 from onboard.navigation.limits import MEMORY_NS, RECENT_NS
 from onboard.navigation.navigator import Navigation, NavState
 from onboard.pipeline.statistics import Break
-from onboard.vision.klt_tracker import Tracks
 
 Array = NDArray[np.float64]
 
@@ -40,18 +38,22 @@ def predict_motion(window: Window, navigation: Navigation, was_nav: NavState, na
 
     `was_nav` is the keyframe's state, looked up with the same time offset as `nav`.
     """
-    plane = ground_so_far(window, nav)
-    if not window.keyframes or plane is None:
+    plane, R_was, R_now = ground_so_far(window, nav), window.attitude_guess(was_nav), window.attitude_guess(nav)
+    if plane is None or R_was is None or R_now is None:
         return None
-    last = window.keyframes[-1]
-    was, now = window.attitude_guess(was_nav), window.attitude_guess(nav)
-    if was is None or now is None:
-        return None
-    moved = nav.position_enu_m - was_nav.position_enu_m
+    camera, last = window.camera, window.keyframes[-1]
     first = Pose(last.R_cam_enu, last.centre_enu_m)
-    second = Pose(now @ was.T @ last.R_cam_enu, last.centre_enu_m + moved)
-    H = predict_homography(window.camera, first, second, plane)
-    return None if H is None else _as_read(window, navigation, H, nav)
+    moved = nav.position_enu_m - was_nav.position_enu_m
+    second = Pose(R_now @ R_was.T @ last.R_cam_enu, last.centre_enu_m + moved)
+    H = predict_homography(camera, first, second, plane)
+    was, now = last.observation.moving, moving_at(window, navigation, nav)
+    if H is None or was is None or now is None:
+        return H
+    # From the pictures' moments to when each row was exposed.
+    at = pixel_grid(camera.size_px, (5, 5))
+    to = move(H, at - _moved_px(camera, at, was))
+    to = to + _moved_px(camera, to, now)
+    return fit_homography(at, to, np.ones(len(at))) if np.all(np.isfinite(to)) else H
 
 
 def what_parts(was: NavState, now: NavState, navigation: Navigation, offset_ns: int) -> Break | None:
@@ -81,12 +83,13 @@ def moving_at(window: Window, navigation: Navigation, nav: NavState) -> Moving |
         return None
     platform = window.alignment.platform
     at_ns = nav.stamp_ns + round(float(platform.mean[OFFSET]) * 1e9)
-    R_cam_enu = window.attitude_guess(nav)
-    rate_cam = np.zeros(3)
+    R_cam_enu, rate_cam = window.attitude_guess(nav), np.zeros(3)
+    sigma_rad_s, is_measured = TURN_RAD_S, True
     if R_cam_enu is not None:
         rate = navigation.body_rate_at(at_ns)
         if rate is not None:
             rate_cam = (window.R_body_cam @ exp_so3(platform.mean[BORESIGHT])).T @ rate
+        sigma_rad_s, is_measured = _rate_sigma(window, navigation, at_ns)
     elif window.keyframes:
         last = window.keyframes[-2:]
         R_cam_enu = last[-1].R_cam_enu
@@ -96,16 +99,18 @@ def moving_at(window: Window, navigation: Navigation, nav: NavState) -> Moving |
         R_cam_enu = window.R_body_cam.T
     velocity = navigation.velocity_at(nav)
     plane = _inverse_depth(R_cam_enu, ground_so_far(window, nav), window.position_guess(nav))
-    if nav.R_enu_body is None:
-        return Moving(window.readout[0], rate_cam, velocity, R_cam_enu @ velocity, plane, TURN_RAD_S)
-    noisy = navigation.rate_sigma_at(at_ns, window.config.camera.sigma_jitter_s)
-    is_measured = noisy is not None
-    if noisy is None:
-        # The difference of two attitudes.
-        noisy = float(np.sqrt(2.0) * np.radians(window.config.solve.attitude_white_sigma_deg)) / (RATE_WINDOW_NS / 1e9)
-    elif noisy * 0.5 * np.hypot(*window.readout) * window.camera.focal_px < window.noise.pixel_sigma_px:
-        noisy = 0.0  # not even the outermost row is moved by more than its features' own noise
-    return Moving(window.readout[0], rate_cam, velocity, R_cam_enu @ velocity, plane, noisy, is_measured)
+    return Moving(window.readout[0], rate_cam, velocity, R_cam_enu @ velocity, plane, sigma_rad_s, is_measured)
+
+
+def _rate_sigma(window: Window, navigation: Navigation, at_ns: int) -> tuple[float, bool]:
+    """One sigma (rad/s) of the vehicle's rate at a moment, 0 if it does not matter; and whether that is measured."""
+    sigma_rad_s = navigation.rate_sigma_at(at_ns, window.config.camera.sigma_jitter_s)
+    if sigma_rad_s is None:  # the difference of two attitudes
+        white_rad = np.radians(window.config.solve.attitude_white_sigma_deg)
+        return float(np.sqrt(2.0) * white_rad) / (RATE_WINDOW_NS / 1e9), False
+    # Not even the outermost row is moved by more than its features' own noise?
+    moved_px = sigma_rad_s * 0.5 * np.hypot(*window.readout) * window.camera.focal_px
+    return (0.0 if moved_px < window.noise.pixel_sigma_px else sigma_rad_s), True
 
 
 def _inverse_depth(R_cam_enu: Array, plane: Array | None, centre_enu_m: Array) -> Array:
@@ -119,23 +124,6 @@ def _inverse_depth(R_cam_enu: Array, plane: Array | None, centre_enu_m: Array) -
     # A ray r = R' (x, y, 1) falls by -normal . r for each metre of depth.
     falls = -(R_cam_enu @ normal) / clearance_m
     return np.array([falls[2], falls[0], falls[1]])
-
-
-def seen_at(window: Window, camera: Camera, navigation: Navigation, nav: NavState, tracks: Tracks) -> Observation:
-    """What a picture with this state saw, by this calibration."""
-    return observation(camera, tracks.ids, tracks.uv_px, moving_at(window, navigation, nav))
-
-
-def _as_read(window: Window, navigation: Navigation, H: Array, nav: NavState) -> Array:
-    """A motion (3, 3), pixels, from the newest keyframe's moment to `nav`'s, as it is between their rows."""
-    was, now = window.keyframes[-1].observation.moving, moving_at(window, navigation, nav)
-    if was is None or now is None:
-        return H
-    camera = window.camera
-    at = pixel_grid(camera.size_px, (5, 5))
-    to = move(H, at - _moved_px(camera, at, was))
-    to = to + _moved_px(camera, to, now)
-    return fit_homography(at, to, np.ones(len(at))) if np.all(np.isfinite(to)) else H
 
 
 def _moved_px(camera: Camera, uv_px: Array, moving: Moving) -> Array:

@@ -21,7 +21,7 @@ from contract.camera import Camera
 from contract.feature_set import FeatureSet, Status
 from contract.geodesy import LocalFrame
 from onboard.config.schema import Config
-from onboard.estimation.keyframe import Observation, seen_with
+from onboard.estimation.keyframe import Observation, observation, seen_with
 from onboard.estimation.moved_optics import MOVED
 from onboard.estimation.platform_states import OFFSET
 from onboard.estimation.sliding_window import Window
@@ -36,7 +36,7 @@ from onboard.pipeline.estimates import found_in_flight
 from onboard.pipeline.frozen_frames import Staleness, Stillness
 from onboard.pipeline.keyframes import look_up_again, profile_of, wants_keyframe
 from onboard.pipeline.mount_selection import MountSelection, carry_over
-from onboard.pipeline.picture_motion import TURN_RAD_S, ground_so_far, predict_motion, seen_at, what_parts
+from onboard.pipeline.picture_motion import TURN_RAD_S, ground_so_far, moving_at, predict_motion, what_parts
 from onboard.pipeline.placing import Placing
 from onboard.pipeline.record_book import Pending, Record, RecordBook
 from onboard.pipeline.statistics import MIN_OVERLAP, LeftOut, RunStatistics, Summary
@@ -185,7 +185,7 @@ class Pipeline:
         if self._frame is not self.navigation.frame:
             self._frame, self.window.terrain = self.navigation.frame, None
             self.window.ground_slope.forget()
-            self._lens_doubt.forget_ground()
+            self._lens_doubt.ground_m = None
         if self.terrain is not None:
             with self._statistics.timed("terrain"):
                 self.window.terrain = terrain_about(self.terrain, self._frame, nav, self.window.terrain)
@@ -223,7 +223,7 @@ class Pipeline:
         if stands is not None:
             self._restart()
             self.window.change_lens(*stands)
-            self._lens_doubt.settle()
+            self._lens_doubt.is_open = False
             self.camera = self.window.camera
             self.mount_selection.camera = self.camera
 
@@ -310,7 +310,7 @@ class Pipeline:
             ids, uv = self.tracker.promote(tracks)
         self._stillness.begin(ids, uv, frame.stamp_ns)
         look_up_again(self.window, self.navigation)
-        seen = seen_at(self.window, self.window.camera, self.navigation, nav, replace(tracks, ids=ids, uv_px=uv))
+        seen = observation(self.window.camera, ids, uv, moving_at(self.window, self.navigation, nav))
         moment_ns, displacement = self._moment_ns(frame.stamp_ns), None
         if self.window.keyframes:
             was_ns = self._moment_ns(self.window.keyframes[-1].nav.stamp_ns)
@@ -424,7 +424,8 @@ class Pipeline:
 
     def _seen(self, nav: NavState, tracks: Tracks) -> Observation:
         """What a picture saw, by the calibration that it is placed by."""
-        return seen_at(self.window, (self.window.solved or self.window).camera, self.navigation, nav, tracks)
+        camera, moving = (self.window.solved or self.window).camera, moving_at(self.window, self.navigation, nav)
+        return observation(camera, tracks.ids, tracks.uv_px, moving)
 
     def _why_without_depth(self, record: Record) -> Status:
         """FEATURELESS only where the picture is: else its features are too new to have depth, as after a spin."""

@@ -32,15 +32,13 @@ class Placing:
         """The picture's set by `solved`, or why it has none. `record` remembers how it was placed."""
         again = record.placed
         near = again or self._near(record)
-        if near is not None:
-            guess = Pose(near.pose.R_cam_enu, window.position_guess(record.nav))
+        if near is None:
+            guess = window.pose_guess(record.seen, record.nav)
         else:
-            known = window.pose_guess(record.seen, record.nav)
-            if known is None:
-                return Status.STARTING
-            guess = Pose(*known)
-        # The distance over which the ground is correlated is estimated at every keyframe, and taken as known until the
-        # next.
+            guess = Pose(near.pose.R_cam_enu, window.position_guess(record.nav))
+        if guess is None:
+            return Status.STARTING
+        # The ground's correlation length is estimated at every keyframe, and taken as known until the next.
         ground_range = None if near is None or record.is_keyframe else near.ground_range
         placed = place(window, solved, record.seen, picture, guess, None if again is None else again.pose, ground_range)
         if isinstance(placed, Status):

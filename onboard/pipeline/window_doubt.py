@@ -1,13 +1,11 @@
 """Windows that fit and must not count: of optics that moved while no window could see it.
 
-A frame that is shifted to hide a rotation shows where the aircraft turns, and a young window, or one in the middle of a
-steady turn, may miss it and answer wrongly. So after a window that found it the next one that fits is refused as well,
-and answers come back with the second in a row. (19.2)
+A young window, or one in the middle of a steady turn, may miss that its frame is shifted to hide a rotation: so after
+one that found it, the next that fits is refused as well, and the second in a row counts (section 19).
 
-A lens that zooms fast loses every feature from one picture to the next, and a window of pictures that were all taken
-afterwards fits a ground that is as much nearer. So what is lost at once, where telemetry says that the ground is still
-in sight, leaves the lens in doubt: known ground does not answer for a picture then, and a new window counts only
-if it finds the ground about as high as it was. A window that comes much later has other ground below it. (21.4)
+A lens that zooms fast loses every feature from one picture to the next. So what is lost at once, where telemetry says
+that the ground is still in sight, leaves the lens in doubt: known ground does not answer for a picture then, and a new
+window counts only if it finds the ground about as high as it was, or comes much later. (21.4)
 """
 
 from __future__ import annotations
@@ -29,18 +27,16 @@ class FrameDoubt:
     """Fed with the status of every window."""
 
     def __init__(self) -> None:
-        self._is_open = False
-        self._has_fitted = False  # the window before this one
+        self._wanted = 0  # windows in a row that must fit, the last of which counts again
 
     def denies(self, status: Status) -> bool:
         """Take a window's status; whether it fits and still must not count."""
-        is_first = status is Status.OK and self._is_open and not self._has_fitted
-        self._has_fitted = status is Status.OK
-        if status is Status.STABILISED:
-            self._is_open = True
-        elif self._has_fitted and not is_first:
-            self._is_open = False
-        return is_first
+        if status is Status.OK:
+            self._wanted = max(self._wanted - 1, 0)
+            return self._wanted > 0
+        if status is Status.STABILISED or self._wanted:
+            self._wanted = 2
+        return False
 
     def judged(self, outcome: Outcome) -> Outcome:
         """A window's outcome, which is refused if it must not count."""
@@ -55,47 +51,33 @@ class LensDoubt:
 
     def __init__(self) -> None:
         self.is_open = False
-        self.reason = ""
+        self.ground_m: float | None = None  # how high the ground is, as the last window had it that counted
         self._held: deque[float] = deque(maxlen=4)
-        self._ground_m: float | None = None  # how high the ground is, as the last window had it that counted
-        self._lost_ns = 0
-        self._has_denied = False
+        self._until_ns = 0.0  # stamp after which a window settles the doubt, whatever its ground
 
     def tracked(self, found: int, offered: int) -> None:
         """A picture has found so many of the features that were looked for."""
-        self._held.append(found / max(offered, 1))
+        self._held.append(found / offered)
 
     def lost(self, stamp_ns: int, overlap: float) -> None:
         """Pictures in a row have found too little; `overlap`: how much of the last keyframe they should have shown."""
         if not self.is_open and max(self._held, default=0.0) >= MOST_OF and overlap >= MOST_OF:
-            self.is_open, self._lost_ns, self._has_denied = True, stamp_ns, False
+            self.is_open, self._until_ns = True, stamp_ns + 2 * LONG_NS
         self._held.clear()
 
-    def denies(self, solved: Solved) -> bool:
-        """Take a solved window; whether it must not count, because the lens is no longer what it takes it for."""
+    def denies(self, solved: Solved) -> str:
+        """Take a solved window; why it must not count, as the lens is no longer what it takes it for. Empty: it may."""
         newest = solved.keyframes[-1]
         up_m, ground_m = float(newest.centre_enu_m[2]), float(np.median(solved.solution.state.points_enu_m[:, 2]))
-        is_outdated = newest.nav.stamp_ns - self._lost_ns > 2 * LONG_NS and not self._has_denied
-        if self.is_open and self._ground_m is not None and not is_outdated:
-            nearer = np.log(max(up_m - self._ground_m, 1.0) / max(up_m - ground_m, 1.0))
+        if self.is_open and self.ground_m is not None and newest.nav.stamp_ns <= self._until_ns:
+            nearer = np.log(max(up_m - self.ground_m, 1.0) / max(up_m - ground_m, 1.0))
             if abs(nearer) > SAME_DEPTH:
-                self._has_denied = True
-                self.reason = f"the lens zoomed: the ground looks {np.exp(nearer):.1f} times as near as before"
-                return True
-        self.settle()
-        self._ground_m = ground_m
-        return False
-
-    def forget_ground(self) -> None:
-        """Heights count from elsewhere now."""
-        self._ground_m = None
-
-    def settle(self) -> None:
-        """A window has shown the lens to be what it was, or it has been reported."""
-        self.is_open, self.reason = False, ""
+                self._until_ns = np.inf  # from now on only ground as high as it was
+                return f"the lens zoomed: the ground looks {np.exp(nearer):.1f} times as near as before"
+        self.is_open, self.ground_m = False, ground_m
+        return ""
 
     def judged(self, outcome: Outcome) -> Outcome:
         """A window's outcome, which is refused if it must not count."""
-        if outcome.solved is None or not self.denies(outcome.solved):
-            return outcome
-        return replace(outcome, status=Status.ZOOMED, solved=None, reason=self.reason)
+        why = "" if outcome.solved is None else self.denies(outcome.solved)
+        return replace(outcome, status=Status.ZOOMED, solved=None, reason=why) if why else outcome

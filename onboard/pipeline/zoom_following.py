@@ -1,9 +1,8 @@
-"""A zoom lens followed by what is reported of it: whether it moves, and which camera it is where it stands. (21.3)
+"""A zoom lens followed by what is reported of it: whether it moves, and which camera it is where it stands.
 
 Reports may be late by some tenths of a second, quantised, seldom, or not be numbers, and their clock may not be the
-pictures'. So each holds for an interval of picture stamps. The lens may have moved from the interval of the last report
-that reported the old value, until the one after that of the last change, for as long again as a report may be late or
-the last change took; its pictures count as zoomed. Without a report a lens stays where it was reported last.
+pictures'. So each holds for an interval of picture stamps, and all pictures count as zoomed in which the lens may have
+moved, (21.3). Without a report a lens stays where it was reported last.
 """
 
 from __future__ import annotations
@@ -37,10 +36,10 @@ class ZoomFollowing:
         self._file, self._sigma = camera, sigma
         self._newest: _Report | None = None
         self._is_standing = True
-        self._since_ns = self._until_ns = 0  # picture stamps between which it may have moved, the last time
-        self._changed: _Report | None = None  # the newest report of a change
-        self._lasted_ns = 0  # how long that change may have taken
-        self._stood = math.log(camera.focal_px)  # where it stands, or stood last
+        # Picture stamps between which it may have moved, the last time, perhaps before that was reported.
+        self.suspect_since_ns = self._until_ns = 0
+        self._changed_ns: float = -math.inf  # stamp of the newest report of a change
+        self._confirmed_ns = 0  # until when the lens may have moved, if a report confirms that change
         self._rank = len(get_args(ZoomUnit))  # of the newest report's unit
 
     def note(self, event: Zoom, offset_s: float = 0.0, offset_sigma_s: float = 0.0) -> None:
@@ -58,28 +57,31 @@ class ZoomFollowing:
         if rank > self._rank and before is not None and event.stamp_ns - before.stamp_ns < RECENT_NS:
             return  # a report in a better unit came not long ago
         self._rank = rank
-        last = self._stood if before is None else before.log_focal
+        last = math.log(self._file.focal_px) if before is None else before.log_focal
         is_change = abs(log_focal - last) > SAME
-        apart_ns = (0, 0) if event.is_of_picture else _apart_ns(offset_s, offset_sigma_s)
-        first_ns, last_ns = event.stamp_ns - LATE_NS - apart_ns[1], event.stamp_ns - apart_ns[0]
+        stamp_ns, unsure_ns = event.stamp_ns, 0  # of a picture at the moment of the report
+        if not event.is_of_picture:
+            stamp_ns, unsure_ns = stamp_ns - round(offset_s * 1e9), round(LIKELY_SIGMAS * offset_sigma_s * 1e9)
+        first_ns, last_ns = stamp_ns - LATE_NS - unsure_ns, stamp_ns + unsure_ns
         value = log_focal if is_change else last
         self._newest = _Report(event.stamp_ns, value, self._sigma_of(event), first_ns, last_ns)
         if is_change:
             self._change(before, self._newest)
-        elif self._changed is not None:
-            after_ns = min(max(self._lasted_ns, LATE_NS), RECENT_NS)
-            self._until_ns = min(self._until_ns, self._changed.last_ns + after_ns)
+        else:
+            self._until_ns = min(self._until_ns, self._confirmed_ns)
 
     def _change(self, before: _Report | None, report: _Report) -> None:
         """A report tells of another lens than the one before it."""
         if self._is_standing:
             self._is_standing = False
-            self._since_ns = report.first_ns if before is None else max(before.first_ns, report.first_ns - RECENT_NS)
+            earliest_ns = report.first_ns if before is None else before.first_ns
+            self.suspect_since_ns = max(earliest_ns, report.first_ns - RECENT_NS)
         # Steps may tell of one that moves slowly less often than reports come.
-        ends = [t.stamp_ns for t in (self._changed, before) if t is not None]
-        recent = [report.stamp_ns - ns for ns in ends if report.stamp_ns - ns <= RECENT_NS]
-        self._lasted_ns = max(recent, default=0)
-        self._changed, self._until_ns = report, report.last_ns + RECENT_NS
+        before_ns = -math.inf if before is None else before.stamp_ns
+        began_ns = [ns for ns in (self._changed_ns, before_ns) if report.stamp_ns - ns <= RECENT_NS]
+        lasted_ns = report.stamp_ns - int(min(began_ns, default=report.stamp_ns))
+        self._confirmed_ns = report.last_ns + max(lasted_ns, LATE_NS)
+        self._changed_ns, self._until_ns = report.stamp_ns, report.last_ns + RECENT_NS
 
     def _sigma_of(self, event: Zoom) -> float:
         """One sigma of what a report says: as configured, and anywhere within its step."""
@@ -91,28 +93,21 @@ class ZoomFollowing:
 
     def _log_focal(self, value: float, unit: str) -> float | None:
         table = self._file.zoom
-        if not math.isfinite(value) or value < 0.0:
-            return None
         if unit in ("times", "percent"):
             return table.log_focal(value) if table is not None and table.unit == unit else None
         if unit == "hfov_deg":
             if table is None:  # autopilots report what is set in their parameters, of lenses that do not zoom too
                 return None
             value = 0.5 * self._file.width_px / math.tan(math.radians(value) / 2.0) if 0.0 < value < 179.0 else 0.0
-        if value <= 0.0:
+        if not 0.0 < value < math.inf:
             return None
         # Both are of the picture's width, and pixels need not be square.
         log_focal = math.log(value * self._file.focal_px / self._file.fx_px)
         return log_focal if table is None or table.has(log_focal) else None
 
-    @property
-    def suspect_since_ns(self) -> int:
-        """From when on pictures may have been taken by a lens that moved, though it had not been reported yet."""
-        return self._since_ns
-
     def is_moving(self, stamp_ns: int) -> bool:
         """Whether the lens may be moving in a picture with this stamp, by what has been reported so far."""
-        return not self._is_standing and self._since_ns <= stamp_ns <= self._until_ns
+        return not self._is_standing and self.suspect_since_ns <= stamp_ns <= self._until_ns
 
     def stands(self, stamp_ns: int) -> tuple[Camera, float] | None:
         """The camera that the lens has become, and one sigma of its focal length's logarithm as it is reported.
@@ -121,11 +116,5 @@ class ZoomFollowing:
         """
         if self._is_standing or self._newest is None or stamp_ns <= self._until_ns:
             return None
-        self._is_standing, self._stood = True, self._newest.log_focal
-        return self._file.zoomed(self._stood), self._newest.sigma
-
-
-def _apart_ns(offset_s: float, sigma_s: float) -> tuple[int, int]:
-    """The least and the most that pictures' stamps may be behind their moments by telemetry's clock."""
-    least_s, most_s = (offset_s + side * LIKELY_SIGMAS * sigma_s for side in (-1.0, 1.0))
-    return round(least_s * 1e9), round(most_s * 1e9)
+        self._is_standing = True
+        return self._file.zoomed(self._newest.log_focal), self._newest.sigma

@@ -189,7 +189,7 @@ def test_a_picture_that_shares_no_known_point_is_oriented_from_the_one_before_it
     assert not window.solved.rows(both)[1].any()
     guess = window.pose_guess(scene.observations[last], scene.navs[last])
     assert guess is not None
-    turn_deg = np.degrees(np.linalg.norm(log_so3(guess[0] @ scene.R_cam_enu[last].T)))
+    turn_deg = np.degrees(np.linalg.norm(log_so3(guess.R_cam_enu @ scene.R_cam_enu[last].T)))
     assert 0.0 < turn_deg < 6.0
     add(window, scene, last)
     assert window.solve() is Status.OK

@@ -17,7 +17,6 @@ from onboard.config.schema import Config
 from onboard.estimation import variance_components
 from onboard.estimation.keyframe import observation
 from onboard.estimation.sliding_window import Window
-from onboard.geometry.plane_homography import Pose
 from onboard.georeferencing.feature_sets import Origin, Picture, Placed, place
 from tests.onboard.scenes import FRAME, FULL, SEED_SENSORS, T0_NS, Scene, SceneSpec, draw
 from tests.rest_long import rest_long
@@ -40,7 +39,7 @@ def publish(scene: Scene, window: Window, frame: int) -> FeatureSet | Status:
     assert window.solved is not None
     origin = Origin("uav-1", 7, frame, T0_NS + frame, 0, bool(scene.is_key[frame]))
     picture = Picture(window.camera, origin, FRAME, UNDULATION_M)
-    placed = place(window, window.solved, seen, picture, Pose(*guess))
+    placed = place(window, window.solved, seen, picture, guess)
     return placed.feature_set if isinstance(placed, Placed) else placed
 
 

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from contract.locate import MAX_OUTSIDE
 from onboard.estimation.rolling_shutter import Moving
 from onboard.estimation.solved_window import Solved
-from onboard.geometry.plane_homography import Pose
 from onboard.georeferencing.feature_sets import Origin, Picture, Placed, place
 from onboard.georeferencing.revision import (
     IN_REACH,
@@ -40,7 +39,7 @@ def placed() -> Placed:
     guess = window.pose_guess(seen, nav)
     assert guess is not None and window.solved is not None
     picture = Picture(window.camera, Origin("uav-1", 7, frame, T0_NS + frame, 0, False), FRAME, 11.0)
-    made = place(window, window.solved, seen, picture, Pose(*guess))
+    made = place(window, window.solved, seen, picture, guess)
     assert isinstance(made, Placed)
     return made
 
