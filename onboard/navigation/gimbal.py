@@ -16,7 +16,7 @@ from contract.feature_set import Status
 from contract.rotations import log_so3, matrix_from_euler, matrix_from_quaternion
 from onboard.config.schema import Config
 from onboard.events.types import GimbalAttitude
-from onboard.navigation.attitude_interpolation import RATE_WINDOW_NS, Attitudes
+from onboard.navigation.attitude_interpolation import RATE_WINDOW_NS, Attitudes, Orientation
 
 Array = NDArray[np.float64]
 
@@ -30,15 +30,15 @@ class MountHypothesis(Enum):
 
 
 class Gimbal:
-    """Fed with a gimbal's attitudes, and with the vehicle's where the gimbal counts its yaw from the nose.
+    """Fed with a gimbal's attitudes; the vehicle's are needed where the gimbal counts its yaw from the nose.
 
     Once a gimbal has sent, its silence is a gap, never a return to the fixed mount: its attitude is then unknown.
     """
 
-    def __init__(self, config: Config) -> None:
+    def __init__(self, config: Config, vehicle: Attitudes) -> None:
         mount = config.mount
         self._R_body_gimbal = matrix_from_euler(*np.radians([mount.roll_deg, mount.pitch_deg, mount.yaw_deg]))
-        self._attitudes = Attitudes(config.telemetry.max_attitude_gap_s)
+        self._vehicle, self.attitudes = vehicle, Attitudes(config.telemetry.max_attitude_gap_s)
         self._from_nose = False
         self._setting, self._is_of_camera = mount.gimbal, False
 
@@ -47,60 +47,48 @@ class Gimbal:
         """Whether its attitude is the camera's without asking the pictures."""
         return self._setting == "always" or (self._setting == "auto" and self._is_of_camera)
 
-    @property
-    def is_open(self) -> bool:
-        """Whether it has sent messages and the pictures must determine what they mean, if anything."""
-        return self._setting == "auto" and not self._is_of_camera and bool(self.stamps_ns)
-
     def insert(self, event: GimbalAttitude) -> None:
         """Take one attitude. One that counts from elsewhere than those before it replaces them."""
         self._is_of_camera = event.is_of_camera
         from_nose = event.reference == "vehicle"
         if from_nose != self._from_nose:
-            self._attitudes.forget()
-            self._from_nose = from_nose
-        self._attitudes.insert(event.stamp_ns, matrix_from_quaternion(event.q_ref_gimbal), None)
+            self.attitudes, self._from_nose = Attitudes(self.attitudes.max_gap_s), from_nose
+        self.attitudes.insert(event.stamp_ns, Orientation(matrix_from_quaternion(event.q_ref_gimbal)))
 
-    @property
-    def stamps_ns(self) -> list[int]:
-        """When attitudes are held, sorted."""
-        return self._attitudes.stamps_ns
+    def needed(self, hypothesis: MountHypothesis) -> list[Attitudes]:
+        """All that an attitude is made of."""
+        if hypothesis is MountHypothesis.MOUNT:
+            return [self._vehicle]
+        return [self.attitudes, self._vehicle] if self._from_nose else [self.attitudes]
 
-    def forget(self) -> None:
-        """The clock has stepped."""
-        self._attitudes.forget()
-
-    @property
-    def readings(self) -> list[MountHypothesis]:
-        """What its messages may mean."""
-        return [MountHypothesis.GIMBAL, MountHypothesis.JOINTS] if self._from_nose else [MountHypothesis.GIMBAL]
-
-    def needed(self, vehicle: Attitudes) -> list[list[int]]:
-        """Stamps of everything that an attitude is made of."""
-        return [self.stamps_ns, vehicle.stamps_ns] if self._from_nose else [self.stamps_ns]
-
-    def at(
-        self, moment_ns: int, vehicle: Attitudes, reading: MountHypothesis = MountHypothesis.GIMBAL
-    ) -> Array | Status:
+    def at(self, moment_ns: int, hypothesis: MountHypothesis) -> Array | Status:
         """R_ned_body (3, 3) of the vehicle that a fixed mount would need, or why there is none. Equation (1.6)."""
-        R_ref_gimbal = self._attitudes.at(moment_ns)
+        if hypothesis is MountHypothesis.MOUNT:
+            return self._vehicle.at(moment_ns)
+        R_ref_gimbal = self.attitudes.at(moment_ns)
         if isinstance(R_ref_gimbal, Status):
             return R_ref_gimbal
-        R_ned_ref = np.eye(3)
-        if self._from_nose:
-            R_ned_body = vehicle.at(moment_ns) if vehicle.stamps_ns else Status.UNSYNCHRONISED
-            if isinstance(R_ned_body, Status):
-                return R_ned_body
-            heading = np.arctan2(R_ned_body[1, 0], R_ned_body[0, 0])
-            R_ned_ref = R_ned_body if reading is MountHypothesis.JOINTS else matrix_from_euler(0.0, 0.0, heading)
+        R_ned_ref = self._vehicle.at(moment_ns) if self._from_nose else np.eye(3)
+        if isinstance(R_ned_ref, Status):
+            return R_ned_ref
+        if hypothesis is MountHypothesis.GIMBAL:
+            R_ned_ref = matrix_from_euler(0.0, 0.0, np.arctan2(R_ned_ref[1, 0], R_ned_ref[0, 0]))
         out: Array = R_ned_ref @ R_ref_gimbal @ self._R_body_gimbal.T
         return out
 
-    def rate_at(
-        self, moment_ns: int, vehicle: Attitudes, reading: MountHypothesis = MountHypothesis.GIMBAL
-    ) -> Array | None:
+    def open_at(self, moment_ns: int) -> dict[MountHypothesis, Array]:
+        """`at` by every hypothesis while the pictures must determine which is true, the mount first; else nothing."""
+        if self._setting != "auto" or self._is_of_camera or not (self.attitudes.stamps_ns and self._vehicle.stamps_ns):
+            return {}
+        may_be = [h for h in MountHypothesis if self._from_nose or h is not MountHypothesis.JOINTS]
+        found = {hypothesis: self.at(moment_ns, hypothesis) for hypothesis in may_be}
+        return {hypothesis: R for hypothesis, R in found.items() if not isinstance(R, Status)}
+
+    def rate_at(self, moment_ns: int, hypothesis: MountHypothesis) -> Array | None:
         """Angular rate (3,), rad/s, in the axes of what `at` answers; None if unknown."""
-        before, after = (self.at(moment_ns + side * RATE_WINDOW_NS // 2, vehicle, reading) for side in (-1, 1))
+        if hypothesis is MountHypothesis.MOUNT:
+            return self._vehicle.rate_at(moment_ns)
+        before, after = (self.at(moment_ns + side * RATE_WINDOW_NS // 2, hypothesis) for side in (-1, 1))
         if isinstance(before, Status) or isinstance(after, Status):
             return None
         out: Array = log_so3(before.T @ after) / (RATE_WINDOW_NS / 1e9)

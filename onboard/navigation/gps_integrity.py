@@ -9,7 +9,6 @@ own figures are already perfect and the position is still 28 to 4 m off.
 
 from __future__ import annotations
 
-import bisect
 import itertools
 from enum import StrEnum
 
@@ -17,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.config.schema import Config
-from onboard.events.types import FilterStatus, GpsQuality
+from onboard.events.types import FilterStatus, GpsQuality, PositionFix
 from onboard.navigation.limits import LIKELY_SIGMAS, LONG_NS, RECENT_NS
-from onboard.navigation.position_interpolation import Position
+from onboard.navigation.position_interpolation import Path, Position
 from onboard.navigation.position_jumps import PositionJumps
-from onboard.navigation.position_slip import Slip, SlipTest
+from onboard.navigation.position_slip import SlipTest
 from onboard.navigation.time_series import Series, T
 
 Array = NDArray[np.float64]
@@ -44,104 +43,74 @@ class GpsIntegrity:
 
     def __init__(self, config: Config) -> None:
         self._gps, self._slip = config.gps, SlipTest(config.gps)
-        self.quality: Series[GpsQuality] = Series()
-        self.filter: Series[FilterStatus] = Series()
-        self.positions: Series[Position] = Series()
-        self._jumps = PositionJumps(config.gps, self._was_unfit)
         self._had_fix = False
+        self.forget()
 
     def forget(self) -> None:
         """The clock was set back: nothing held can be compared any more."""
-        self.quality, self.filter, self.positions = Series(), Series(), Series()
-        self._jumps = PositionJumps(self._gps, self._was_unfit)
+        self.quality: Series[GpsQuality] = Series()
+        self.filter: Series[FilterStatus] = Series()
+        self.positions = Path(self._gps.max_gap_s)
+        self.jumps = PositionJumps(self._gps, self._was_unfit)
 
-    def begin(self, positions: Series[Position], jumped_ns: int | None) -> None:
-        """Positions in a new frame; `jumped_ns`: when those of the old frame were found to be elsewhere, if so."""
-        self.positions = positions
-        self._jumps.begin(jumped_ns)
+    def begin(self, jumped_ns: int | None) -> None:
+        """Positions come in a new frame; `jumped_ns`: when those of the old were found to be elsewhere, if so."""
+        self.positions = Path(self._gps.max_gap_s)
+        self.jumps.begin(jumped_ns)
 
-    # ------------------------------------------------------------------ before there is a frame
+    def first_accepted(self, fixes: Series[PositionFix], now_ns: int) -> tuple[list[PositionFix], str]:
+        """Which of the first positions may be accepted with data up to `now_ns`; why, if none may.
 
-    def first_estimate(self, first_ns: int, now_ns: int) -> tuple[int | None, str]:
-        """Since when positions may be accepted with data up to `now_ns`, or None and why they may not.
-
-        `first_ns`: stamp of the first position. Receiver and filter are waited for: a filter without a fix reports a
-        place that it remembers, and its own report may come later than that place.
+        Receiver and filter are waited for: a filter without a fix reports a place that it remembers, and its own
+        report may come later than that place.
         """
-        receiver = [(q.stamp_ns, q.has_fix) for q in self.quality.values]
-        filters = [(f.stamp_ns, f.has_position) for f in self.filter.values]
-        unfit_ns = 0
-        for said, why in ((receiver, self._no_fix), (filters, Refusal.NO_ABSOLUTE_POSITION)):
-            if said and not said[-1][1]:
-                return None, why
-            unfit_ns = max([unfit_ns, *(said_ns for said_ns, is_fit in said if not is_fit)])
-        if not (receiver and filters) and now_ns - first_ns < self._gps.quality_timeout_s * 1e9:
-            return None, Refusal.UNHEARD
-        return unfit_ns, ""
+        receiver, filters = self.quality.values, self.filter.values
+        is_waiting = now_ns - fixes.stamps_ns[0] < self._gps.quality_timeout_s * 1e9
+        if self.unfit or (is_waiting and not (receiver and filters)):
+            return [], self.unfit or Refusal.UNHEARD
+        unfit_ns = [q.stamp_ns for q in receiver if not q.has_fix] + [f.stamp_ns for f in filters if not f.has_position]
+        accepted = [fix for fix in fixes.values if fix.stamp_ns > max(unfit_ns, default=0)]
+        return accepted, "" if accepted else Refusal.RECOVERING
+
+    @property
+    def unfit(self) -> str:
+        """Why there is no position by the newest report of receiver or filter; empty if neither denies it."""
+        if self.quality.values and not self.quality.values[-1].has_fix:
+            return self._no_fix
+        if self.filter.values and not self.filter.values[-1].has_position:
+            return Refusal.NO_ABSOLUTE_POSITION
+        return ""
 
     @property
     def _no_fix(self) -> Refusal:
         return Refusal.FIX_LOST if self._had_fix else Refusal.NO_FIX_YET
-
-    @property
-    def is_unfit_now(self) -> bool:
-        """Whether the newest report of receiver or filter denies that there is a position."""
-        quality, status = self.quality.values, self.filter.values
-        return bool(quality and not quality[-1].has_fix) or bool(status and not status[-1].has_position)
-
-    # ------------------------------------------------------------------ what comes in
 
     def note_quality(self, quality: GpsQuality) -> None:
         """The receiver's report."""
         self.quality.insert(quality.stamp_ns, quality)
         self._had_fix |= quality.has_fix
 
-    def note_filter(self, status: FilterStatus) -> None:
-        """The filter's report."""
-        self.filter.insert(status.stamp_ns, status)
+    def note_position(self, stamp_ns: int, position: Position) -> None:
+        """The filter's position."""
+        if self.positions.insert(stamp_ns, position) == len(self.positions.stamps_ns) - 1:
+            self.jumps.append(self.positions, self.claims(stamp_ns))
 
-    def note_position(self, index: int) -> None:
-        """A position inserted at `index`."""
-        if index == len(self.positions.stamps_ns) - 1:
-            self._jumps.append(self.positions, self.claims(self.positions.stamps_ns[index]))
-
-    # ------------------------------------------------------------------ what is asked
-
-    def fault_at(self, moment_ns: int, slip: Slip) -> str:
-        """Why a position at a moment is not accepted; empty if it is. `slip`: `slip_at` the same moment."""
+    def judge(self, moment_ns: int) -> tuple[str, float]:
+        """Why a position at a moment is not accepted, empty if it is; and one sigma (m) of its white part."""
+        slip = self._slip.at(self.positions, moment_ns)
         slips = f"position moves {slip.surely_m_s:.1f} m/s against velocity"
-        return (
+        fault = (
             self._receiver_fault(moment_ns)
             or self._filter_fault(moment_ns)
-            or self._jumps.refusal_at(moment_ns)
+            or self.jumps.refusal_at(moment_ns)
             or (slips if slip.exceeds(self._gps.max_slip_m_s) else "")
         )
-
-    def was_believed(self, start_ns: int, end_ns: int) -> bool:
-        """As `Navigation.was_believed`."""
-        stamps = self.positions.stamps_ns
-        before_ns = next_ns = start_ns
-        for stamp_ns in stamps[bisect.bisect_right(stamps, start_ns) : bisect.bisect_left(stamps, end_ns)]:
-            if stamp_ns - before_ns > self._gps.max_gap_s * 1e9:
-                # The receiver's own report comes later than the first position after a gap.
-                next_ns = stamp_ns + round(self._gps.quality_timeout_s * 1e9)
-            before_ns = stamp_ns
-            if stamp_ns >= next_ns and self.fault_at(stamp_ns, self.slip_at(stamp_ns)):
-                return False
-        return True
-
-    def slip_at(self, moment_ns: int) -> Slip:
-        """How position moves against velocity about a moment."""
-        return self._slip.at(self.positions, moment_ns)
-
-    def stretch_at(self, moment_ns: int) -> int:
-        """A number that changes when positions before a moment cannot be compared with those after it."""
-        return self._jumps.stretch_at(moment_ns)
+        return fault, max(self._gps.sigma_white_m, min(slip.dispersion_m, self._gps.glitch_m))
 
     def sigmas(self, moment_ns: int) -> tuple[float, float]:
         """One sigma (m) of the Gauss-Markov error, horizontal and vertical: `claims`, and jumps left unexplained."""
         horizontal_m, vertical_m = self.claims(moment_ns)
-        doubt_m = self._jumps.at(moment_ns)
+        doubt_m = self.jumps.at(moment_ns)
         return float(np.hypot(horizontal_m, doubt_m[0])), float(np.hypot(vertical_m, doubt_m[1]))
 
     def claims(self, moment_ns: int) -> tuple[float, float]:
@@ -154,9 +123,9 @@ class GpsIntegrity:
 
     def velocity_claim_m_s(self, moment_ns: int) -> float:
         """One sigma of the velocity, the worst that receiver or filter claimed in the last two seconds; 0: neither."""
-        claims = [c.sigma_velocity_m_s for c in self.quality.latest(moment_ns, RECENT_NS)]
-        claims += [c.sigma_velocity_m_s for c in self.filter.latest(moment_ns, RECENT_NS)]
-        return max((c for c in claims if c is not None), default=0.0)
+        claims = [q.sigma_velocity_m_s or 0.0 for q in self.quality.latest(moment_ns, RECENT_NS)]
+        claims += [f.sigma_velocity_m_s or 0.0 for f in self.filter.latest(moment_ns, RECENT_NS)]
+        return max(claims, default=0.0)
 
     def datum_sigma_m(self, moment_ns: int) -> float:
         """One sigma (m) of where the log's heights count from, as far as the log reported it until a moment."""
@@ -167,14 +136,13 @@ class GpsIntegrity:
 
         The position that follows then corrects what was known to be wrong.
         """
-        since_ns = start_ns - LONG_NS
-        for quality in self.quality.between(since_ns, end_ns):
-            claim_m = quality.sigma_horizontal_m or 0.0
-            if not quality.has_fix or LIKELY_SIGMAS * claim_m >= moved_m:
-                return True
-        if any(not status.has_position for status in self.filter.between(since_ns, end_ns)):
-            return True
-        return self._receiver_fault(start_ns) != ""
+        claims = self.quality.between(start_ns - LONG_NS, end_ns).values
+        reports = self.filter.between(start_ns - LONG_NS, end_ns).values
+        return (
+            any(not q.has_fix or LIKELY_SIGMAS * (q.sigma_horizontal_m or 0.0) >= moved_m for q in claims)
+            or not all(f.has_position for f in reports)
+            or self._receiver_fault(start_ns) != ""
+        )
 
     def _receiver_fault(self, moment_ns: int) -> str:
         """The receiver, if it ever reported, has a fix, reported recently, and has had both since `recovery_s`."""
@@ -207,5 +175,5 @@ class GpsIntegrity:
         The first one where none had come yet.
         """
         next_ns = moment_ns + round(self._gps.quality_timeout_s * 1e9)
-        said = [*series.latest(moment_ns, for_ns), *series.between(moment_ns + 1, next_ns)[:1]]
+        said = [*series.latest(moment_ns, for_ns), *series.between(moment_ns + 1, next_ns).values[:1]]
         return said or series.values[:1]

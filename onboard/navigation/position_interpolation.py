@@ -6,7 +6,6 @@ They are joined by cubic Hermite pieces whose slopes are the filter's own veloci
 from __future__ import annotations
 
 import bisect
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -54,134 +53,97 @@ class Joined:
     between_m: Array = field(default_factory=lambda: np.zeros(3))
 
 
-@dataclass(frozen=True, eq=False)
-class Path:
-    """Positions of one frame, sorted; gaps longer than `max_gap_s` are not bridged."""
-
-    series: Series[Position]
-    max_gap_s: float
+class Path(Series[Position]):
+    """Positions of one frame."""
 
     def at(self, moment_ns: int) -> Position | Status:
         """Position and velocity; STARTING before the first position, UNSYNCHRONISED in a gap or past the end."""
-        bracket = self.series.joined(moment_ns, self.max_gap_s)
+        bracket = self.joined(moment_ns)
         if isinstance(bracket, Status):
             return bracket
         left, right = bracket
-        a, b = self.series.values[left], self.series.values[right]
-        velocity_a, velocity_b = self.velocity(left), self.velocity(right)
-        is_measured = a.velocity_enu_m_s is not None and b.velocity_enu_m_s is not None
-        if left == right:
-            since = (moment_ns - self.series.stamps_ns[left]) / 1e9
-            return Position(a.enu_m + velocity_a * since, velocity_a if is_measured else None, a.height_above_home_m)
-        s = self._share(left, right, moment_ns)
-        enu = self._joined(left, right, moment_ns)
-        velocity = (1 - s) * velocity_a + s * velocity_b if is_measured else None
-        above_home = None
-        if a.height_above_home_m is not None:
-            # Its difference from the height itself is a constant, home's own height.
-            above_home = a.height_above_home_m + float(enu[2] - a.enu_m[2])
-        return Position(enu, velocity, above_home)
+        a, b = self.values[left], self.values[right]
+        enu, above_home = self._place(left, right, moment_ns), a.height_above_home_m
+        if above_home is not None and left != right:
+            above_home += float(enu[2] - a.enu_m[2])  # home's own height is a constant
+        if a.velocity_enu_m_s is None or b.velocity_enu_m_s is None:
+            return Position(enu, None, above_home)
+        s = self.share(left, right, moment_ns)
+        return Position(enu, (1 - s) * self.velocity(left) + s * self.velocity(right), above_home)
 
     def joined_at(self, moment_ns: int) -> Joined:
         """What `at`'s position is joined from, and what it may be off by because positions come rarely. (1.9)"""
-        bracket = self.series.bracket(moment_ns)
+        bracket = self.bracket(moment_ns)
         if bracket is None or bracket[0] == bracket[1]:
             return Joined()
-        s = self._share(*bracket, moment_ns)
-        before, after = (self.series.stamps_ns[i] for i in bracket)
+        s = self.share(*bracket, moment_ns)
+        before, after = (self.stamps_ns[i] for i in bracket)
         weights = {before: (1 + 2 * s) * (1 - s) ** 2, after: s * s * (3 - 2 * s)}
         return Joined(weights, (4.0 * s * (1.0 - s)) ** 2 * self._missed(*bracket, CUBIC))
 
     def displacement(self, start_ns: int, end_ns: int) -> Displacement | None:
         """The distance between two moments from the velocities alone (trapezium rule); None where any is missing."""
-        series = self.series
-        ends = [self._velocity_at(start_ns), self._velocity_at(end_ns)]
-        if ends[0] is None or ends[1] is None or end_ns <= start_ns:
+        start, end = self.at(start_ns), self.at(end_ns)
+        if isinstance(start, Status) or isinstance(end, Status) or end_ns <= start_ns:
             return None
-        first, last = bisect.bisect_right(series.stamps_ns, start_ns), bisect.bisect_left(series.stamps_ns, end_ns)
-        between = [p.velocity_enu_m_s for p in series.values[first:last]]
-        stamps = np.array([start_ns, *series.stamps_ns[first:last], end_ns], np.int64)
-        seconds = np.diff(stamps) / 1e9
-        if seconds.max() > self.max_gap_s or any(b is None or not np.all(np.isfinite(b)) for b in between):
+        first, last = bisect.bisect_right(self.stamps_ns, start_ns), bisect.bisect_left(self.stamps_ns, end_ns)
+        velocities = [p.velocity_enu_m_s for p in (start, *self.values[first:last], end)]
+        seconds = np.diff(np.array([start_ns, *self.stamps_ns[first:last], end_ns], np.int64)) / 1e9
+        if seconds.max() > self.max_gap_s or any(v is None or not np.all(np.isfinite(v)) for v in velocities):
             return None
-        v = np.array([ends[0], *between, ends[1]])
+        v = np.array(velocities)
         missed = {}
-        for left in range(max(first - 1, 0), min(last, len(series.stamps_ns) - 1)):
-            begin, end = np.clip([self._share(left, left + 1, t) for t in (start_ns, end_ns)], 0.0, 1.0)
-            gap_s = (series.stamps_ns[left + 1] - series.stamps_ns[left]) / 1e9
-            share = _bump(end) - _bump(begin)
-            missed[series.stamps_ns[left]] = share * gap_s * self._missed(left, left + 1, LINE)
+        for left in range(max(first - 1, 0), min(last, len(self.stamps_ns) - 1)):
+            s = np.clip([self.share(left, left + 1, t) for t in (start_ns, end_ns)], 0.0, 1.0)
+            bump = s * s * (2.0 - 4.0 / 3.0 * s)  # the integral of 4 s (1 - s), (5.20)
+            missed_m = self.seconds(left, left + 1) * self._missed(left, left + 1, LINE)
+            missed[self.stamps_ns[left]] = (bump[1] - bump[0]) * missed_m
         return Displacement(0.5 * (v[1:] + v[:-1]).T @ seconds, missed)
 
     def velocity(self, index: int, reach_ns: int = 0) -> Array:
         """A position's velocity (3,); the components it lacks from its neighbours' positions."""
-        known = self.series.values[index].velocity_enu_m_s
+        known = self.values[index].velocity_enu_m_s
         if known is not None and np.all(np.isfinite(known)):
             return known
         # With no velocity at all the slope is that of the fix's neighbours (Catmull-Rom); a climb rate from heights
         # alone needs a longer base, their noise being metres.
         reach_ns = reach_ns if known is None else RECENT_NS // 2
-        stamps, values = self.series.stamps_ns, self.series.values
+        stamps = self.stamps_ns
         first = min(bisect.bisect_left(stamps, stamps[index] - reach_ns), max(index - 1, 0))
         last = max(bisect.bisect_right(stamps, stamps[index] + reach_ns) - 1, min(index + 1, len(stamps) - 1))
         if first == last:
             return np.zeros(3) if known is None else np.nan_to_num(known)
-        slope: Array = (values[last].enu_m - values[first].enu_m) / ((stamps[last] - stamps[first]) / 1e9)
+        slope: Array = (self.values[last].enu_m - self.values[first].enu_m) / self.seconds(first, last)
         return slope if known is None else np.where(np.isfinite(known), known, slope)
 
-    def _velocity_at(self, moment_ns: int) -> Array | None:
-        position = self.at(moment_ns)
-        velocity = None if isinstance(position, Status) else position.velocity_enu_m_s
-        return velocity if velocity is not None and np.all(np.isfinite(velocity)) else None
-
-    def _share(self, left: int, right: int, moment_ns: int) -> float:
-        stamps_ns = self.series.stamps_ns
-        return (moment_ns - stamps_ns[left]) / (stamps_ns[right] - stamps_ns[left])
-
-    def _joined(self, left: int, right: int, moment_ns: int) -> Array:
-        """The place (3,) on the cubic between two positions."""
-        a, b = self.series.values[left].enu_m, self.series.values[right].enu_m
-        seconds = (self.series.stamps_ns[right] - self.series.stamps_ns[left]) / 1e9
-        s = self._share(left, right, moment_ns)
+    def _place(self, left: int, right: int, moment_ns: int) -> Array:
+        """The place (3,) on the cubic between two positions, or on the line beyond one."""
+        a, b = self.values[left].enu_m, self.values[right].enu_m
+        if left == right:
+            return a + self.velocity(left) * ((moment_ns - self.stamps_ns[left]) / 1e9)
+        s = self.share(left, right, moment_ns)
         out: Array = (1 + 2 * s) * (1 - s) ** 2 * a + s * s * (3 - 2 * s) * b
-        out += seconds * (s * (1 - s) ** 2 * self.velocity(left) - s * s * (1 - s) * self.velocity(right))
-        return out
+        slopes = s * (1 - s) ** 2 * self.velocity(left) - s * s * (1 - s) * self.velocity(right)
+        return out + self.seconds(left, right) * slopes
 
     def _missed(self, left: int, right: int, power: int) -> Array:
         """One sigma (3,), in the middle of a gap, of a velocity (LINE, m/s) or a position (CUBIC, m). (1.9)
 
-        Either end is predicted from the other and from one beyond. Horizontal axes have one sigma between them.
+        Either end is predicted from the other and the next one beyond that is about as far, if held. Horizontal axes
+        have one sigma between them.
         """
-        stamps_ns, gap_ns = self.series.stamps_ns, self.series.stamps_ns[right] - self.series.stamps_ns[left]
-        worst = np.zeros(2)
-        for before, own, after in self._predictable(left, right):
-            s = self._share(before, after, stamps_ns[own])
-            if power == LINE:
-                predicted = (1 - s) * self.velocity(before) + s * self.velocity(after)
-                miss = self.velocity(own) - predicted
-            else:
-                miss = self.series.values[own].enu_m - self._joined(before, after, stamps_ns[own])
-            smaller = (gap_ns / (stamps_ns[after] - stamps_ns[before])) ** power
-            worst = np.maximum(worst, 2.0 * smaller * np.array([np.hypot(miss[0], miss[1]), abs(miss[2])]))
-        return worst[[0, 0, 1]]
-
-    def _predictable(self, left: int, right: int) -> Iterator[tuple[int, int, int]]:
-        """A gap's two ends, each between the other and the next position beyond that is about as far, if held."""
-        stamps_ns = self.series.stamps_ns
-        half_ns = (stamps_ns[right] - stamps_ns[left]) // 2
+        stamps_ns, half_ns = self.stamps_ns, (self.stamps_ns[right] - self.stamps_ns[left]) // 2
         before = bisect.bisect_right(stamps_ns, stamps_ns[left] - half_ns) - 1
         after = bisect.bisect_left(stamps_ns, stamps_ns[right] + half_ns)
-        if before >= 0:
-            yield before, left, right
-        if after < len(stamps_ns):
-            yield left, right, after
-
-
-def finite(velocity_m_s: Array) -> Array:
-    """A velocity (3,) with 0 where a component is not known."""
-    return velocity_m_s if np.isfinite(velocity_m_s).all() else np.nan_to_num(velocity_m_s, nan=0.0)
-
-
-def _bump(s: float) -> float:
-    """The integral of 4 s (1 - s) from the begin of a gap, as a share of the gap."""
-    return s * s * (2.0 - 4.0 / 3.0 * s)
+        worst = np.zeros(2)
+        for first, own, last in ((before, left, right), (left, right, after)):
+            if first < 0 or last == len(stamps_ns):
+                continue
+            if power == LINE:
+                s = self.share(first, last, stamps_ns[own])
+                miss = self.velocity(own) - ((1 - s) * self.velocity(first) + s * self.velocity(last))
+            else:
+                miss = self.values[own].enu_m - self._place(first, last, stamps_ns[own])
+            smaller = (self.seconds(left, right) / self.seconds(first, last)) ** power
+            worst = np.maximum(worst, 2.0 * smaller * np.array([np.hypot(miss[0], miss[1]), abs(miss[2])]))
+        return worst[[0, 0, 1]]

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from onboard.config.schema import Gps
 from onboard.navigation.limits import LIKELY_SIGMAS, MEMORY_NS, RECENT_NS
-from onboard.navigation.position_interpolation import Position, finite
+from onboard.navigation.position_interpolation import Position
 from onboard.navigation.position_slip import Slip, SlipTest
 from onboard.navigation.time_series import Series
 
@@ -80,8 +80,7 @@ class PositionJumps:
 
         `jumped_ns`: when those before were found to be elsewhere, if so.
         """
-        self._deviations: deque[tuple[int, Array]] = deque()  # (3,) position less integrated velocity, recently
-        self._episode: _Episode | None = None
+        self._lose_link(0)
         self._largest_m = float(np.linalg.norm((self._suspected or self._entries[-1]).unexplained_m))
         if jumped_ns is not None:
             self._refuse(jumped_ns, jumped_ns, "the position began to be somewhere else altogether, settling")
@@ -109,26 +108,23 @@ class PositionJumps:
 
     def append(self, positions: Series[Position], sigma_m: tuple[float, float]) -> None:
         """The newest position has come; `sigma_m`: the Gauss-Markov error assumed for it, horizontal and vertical."""
-        end_ns, now = positions.stamps_ns[-1], positions.values[-1]
-        start_ns = positions.stamps_ns[-2] if len(positions.stamps_ns) > 1 else None
-        if start_ns is None or (end_ns - start_ns) / 1e9 > self._gps.max_gap_s:
+        values, end_ns = positions.values, positions.stamps_ns[-1]
+        if len(values) < 2 or positions.seconds(-2, -1) > self._gps.max_gap_s:
             self._lose_link(end_ns)  # over a gap nothing is known about a jump
             return
-        before = positions.values[-2]
-        velocities = [finite(v) for v in (before.velocity_enu_m_s, now.velocity_enu_m_s) if v is not None]
-        moved, seconds = now.enu_m - before.enu_m, (end_ns - start_ns) / 1e9
+        start_ns, seconds = positions.stamps_ns[-2], positions.seconds(-2, -1)
+        moved = expected = values[-1].enu_m - values[-2].enu_m
+        velocities = [p.velocity_enu_m_s for p in values[-2:] if p.velocity_enu_m_s is not None]
+        if velocities:
+            expected = np.mean(np.nan_to_num(velocities), axis=0) * seconds
+        elif len(values) > 2:
+            expected = (values[-2].enu_m - values[-3].enu_m) * (seconds / positions.seconds(-3, -2))
+        miss = moved - expected
         if len(velocities) == 2:
-            self._follow(positions, moved, 0.5 * seconds * (velocities[0] + velocities[1]), sigma_m[0])
+            # Without climb rate nothing is known of a drift in height.
+            self._follow(positions, np.where(np.isnan(velocities).any(axis=0), 0.0, miss), sigma_m[0])
         else:
             self._lose_link(end_ns)
-        if velocities:
-            displacement = np.mean(velocities, axis=0) * seconds
-        elif len(positions.stamps_ns) > 2:
-            earlier_s = (start_ns - positions.stamps_ns[-3]) / 1e9
-            displacement = (before.enu_m - positions.values[-3].enu_m) * (seconds / earlier_s)
-        else:
-            return
-        miss = moved - displacement
         most_m = np.maximum(self._gps.glitch_m, GLITCH_SIGMAS * np.array(sigma_m))
         horizontal = np.hypot(miss[0], miss[1]) > most_m[0]
         if not horizontal and abs(miss[2]) <= most_m[1]:
@@ -138,15 +134,13 @@ class PositionJumps:
             self._add(start_ns, end_ns, miss, sigma_m[0], True)
 
     def _lose_link(self, stamp_ns: int) -> None:
-        self._deviations = deque([(stamp_ns, np.zeros(3))])
-        self._episode = None
+        self._deviations = deque([(stamp_ns, np.zeros(3))])  # position less integrated velocity (3,), recently
+        self._episode: _Episode | None = None
 
-    def _follow(self, positions: Series[Position], moved_m: Array, flown_m: Array, sigma_m: float) -> None:
-        """Take how far the newest position is from the last one, and how far the velocities have flown, both (3,)."""
+    def _follow(self, positions: Series[Position], drift_m: Array, sigma_m: float) -> None:
+        """Take how far the newest position has moved from the last one against velocity (3,)."""
         stamp_ns = positions.stamps_ns[-1]
-        if any(p.velocity_enu_m_s is not None and np.isnan(p.velocity_enu_m_s[2]) for p in positions.values[-2:]):
-            flown_m[2] = moved_m[2]  # no climb rate: nothing is known of a jump in height
-        self._deviations.append((stamp_ns, self._deviations[-1][1] + moved_m - flown_m))
+        self._deviations.append((stamp_ns, self._deviations[-1][1] + drift_m))
         # Slip is known of a moment once half its window has passed.
         middle_ns = stamp_ns - RECENT_NS // 2
         self._judge(middle_ns, self._slip.at(positions, middle_ns), sigma_m)
@@ -159,7 +153,8 @@ class PositionJumps:
             if not slipping:
                 return
             start_ns = max(moment_ns - RECENT_NS // 2, (self._suspected or self._entries[-1]).stamp_ns)
-            self._episode = episode = _Episode(start_ns, self._deviations_at(start_ns))
+            before = next((d for t, d in reversed(self._deviations) if t <= start_ns), self._deviations[0][1])
+            self._episode = episode = _Episode(start_ns, before)
         newest_ns, deviation = self._deviations[-1]
         moved = deviation - episode.before_m
         episode.most_m = max(episode.most_m, float(np.hypot(moved[0], moved[1])))
@@ -170,9 +165,6 @@ class PositionJumps:
             self._add(episode.start_ns, newest_ns, moved, episode.sigma_m, episode.is_sure)
         elif episode.is_sure:
             self._suspect(episode)
-
-    def _deviations_at(self, stamp_ns: int) -> Array:
-        return next((s for t, s in reversed(self._deviations) if t <= stamp_ns), self._deviations[0][1])
 
     def _suspect(self, episode: _Episode) -> None:
         """While it lasts, all that it has moved by so far is in doubt."""

@@ -6,7 +6,6 @@ accelerated, and nothing is wrong with it then. What that may come to is part of
 
 from __future__ import annotations
 
-import bisect
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,17 +50,17 @@ class SlipTest:
 
         Its slope less three of its sigmas, and the dispersion about it per axis; 0 where too little is known.
         """
-        first = bisect.bisect_left(positions.stamps_ns, moment_ns - RECENT_NS // 2)
-        last = bisect.bisect_right(positions.stamps_ns, moment_ns + RECENT_NS // 2)
-        held = positions.values[first:last]
-        velocities = np.array([p.velocity_enu_m_s[:2] for p in held if p.velocity_enu_m_s is not None])
-        stamps_ns = np.array(positions.stamps_ns[first:last], np.int64)
-        if len(held) < 3 or stamps_ns[-1] - stamps_ns[0] < RECENT_NS // 2:
+        about = positions.between(moment_ns - RECENT_NS // 2, moment_ns + RECENT_NS // 2)
+        stamps_ns = np.array(about.stamps_ns, np.int64)
+        velocities = np.array([p.velocity_enu_m_s[:2] for p in about.values if p.velocity_enu_m_s is not None])
+        if (
+            len(velocities) < max(len(stamps_ns), 3)
+            or stamps_ns[-1] - stamps_ns[0] < RECENT_NS // 2
+            or np.diff(stamps_ns).max() > self.gps.max_gap_s * 1e9
+        ):
             return Slip()
         seconds = (stamps_ns - stamps_ns[0]) / 1e9
-        if len(velocities) < len(held) or np.diff(seconds).max() > self.gps.max_gap_s:
-            return Slip()
-        deviation = np.array([p.enu_m[:2] for p in held]) - integrated(velocities, seconds)
+        deviation = np.array([p.enu_m[:2] for p in about.values]) - _integrated(velocities, seconds)
         deviation -= deviation.mean(axis=0)
         t = seconds - seconds.mean()
         span = float(t @ t)
@@ -74,7 +73,7 @@ class SlipTest:
         surely = float(np.linalg.norm(slope)) - SURE_SIGMAS * dispersion_m / np.sqrt(span)
         if surely <= 0.0:
             return Slip(0.0, dispersion_m)
-        by_latency = integrated(_slip_by_latency(positions, stamps_ns), seconds)
+        by_latency = _integrated(_slip_by_latency(positions, stamps_ns), seconds)
         return Slip(surely, dispersion_m, self.gps.sigma_latency_s * float(np.linalg.norm(t @ by_latency)) / span)
 
 
@@ -83,25 +82,18 @@ def _slip_by_latency(positions: Series[Position], moments_ns: Times) -> Array:
 
     Taken from the velocities' own steps: those of a filter that corrects itself are nothing next to a turn's.
     """
-    stamps = positions.stamps_ns
-    first = bisect.bisect_left(stamps, int(moments_ns[0]) - LONG_NS)
-    last = bisect.bisect_right(stamps, int(moments_ns[-1]))
-    held = [
-        (stamp_ns, p.velocity_enu_m_s[:2])
-        for stamp_ns, p in zip(stamps[first:last], positions.values[first:last], strict=True)
-        if p.velocity_enu_m_s is not None
-    ]
-    stepped_ns = np.array([stamp_ns for stamp_ns, _ in held[1:]], np.int64)
-    steps = np.diff(np.array([v for _, v in held]), axis=0)
+    held = positions.between(int(moments_ns[0]) - LONG_NS, int(moments_ns[-1]))
+    velocities = [p.velocity_enu_m_s for p in held.values]
+    known = [(t, v[:2]) for t, v in zip(held.stamps_ns, velocities, strict=True) if v is not None]
+    stepped_ns = np.array([t for t, _ in known[1:]], np.int64)
+    steps = np.diff(np.array([v for _, v in known]), axis=0)
     ago = (moments_ns[:, None] - stepped_ns) / (1e9 * DYNAMIC_TIME_S)
     answer = np.where(ago >= 0.0, (1.0 - ago) * np.exp(-np.maximum(ago, 0.0)), 0.0)
     out: Array = -2.0 / DYNAMIC_TIME_S * answer @ steps
     return out
 
 
-def integrated(velocities: Array, seconds: Array) -> Array:
-    """Distance (n, ...) since the first of some moments (n,) by the trapezium rule."""
-    out = np.zeros_like(velocities)
-    apart_s = (seconds[1:] - seconds[:-1]).reshape(-1, *[1] * (velocities.ndim - 1))
-    np.cumsum(0.5 * (velocities[1:] + velocities[:-1]) * apart_s, axis=0, out=out[1:])
-    return out
+def _integrated(velocities: Array, seconds: Array) -> Array:
+    """Distance (n, 2) since the first of some moments (n,) by the trapezium rule."""
+    steps = 0.5 * (velocities[1:] + velocities[:-1]) * np.diff(seconds)[:, None]
+    return np.vstack([np.zeros(2), np.cumsum(steps, axis=0)])

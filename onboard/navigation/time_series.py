@@ -13,10 +13,11 @@ from onboard.navigation.limits import LATE_NS, MEMORY_NS
 T = TypeVar("T")
 
 
-@dataclass
+@dataclass(eq=False)
 class Series(Generic[T]):
-    """Values by time, sorted, of the last two minutes."""
+    """Values by time, sorted, of the last two minutes; gaps longer than `max_gap_s` are not bridged."""
 
+    max_gap_s: float = float("inf")
     stamps_ns: list[int] = field(default_factory=list)
     values: list[T] = field(default_factory=list)
 
@@ -35,34 +36,44 @@ class Series(Generic[T]):
             index -= old
         return index
 
-    def bracket(self, stamp_ns: int) -> tuple[int, int] | None:
-        """Indices of the neighbours of a stamp; both the same at an end that is near enough to extrapolate from."""
-        if not self.stamps_ns:
-            return None
-        right = bisect.bisect_left(self.stamps_ns, stamp_ns)
+    def covers(self, moment_ns: int) -> bool:
+        """Whether there is a value before a moment, and one after it."""
+        return bool(self.stamps_ns) and self.stamps_ns[0] <= moment_ns <= self.stamps_ns[-1]
+
+    def bracket(self, moment_ns: int) -> tuple[int, int] | None:
+        """Indices of the neighbours of a moment; both the same at an end that is near enough to extrapolate from."""
+        right = bisect.bisect_left(self.stamps_ns, moment_ns)
         if 0 < right < len(self.stamps_ns):
             return right - 1, right
         end = max(right - 1, 0)
-        return (end, end) if abs(self.stamps_ns[end] - stamp_ns) <= LATE_NS else None
+        return (end, end) if self.stamps_ns and abs(self.stamps_ns[end] - moment_ns) <= LATE_NS else None
 
-    def joined(self, stamp_ns: int, max_gap_s: float) -> tuple[int, int] | Status:
+    def joined(self, moment_ns: int) -> tuple[int, int] | Status:
         """`bracket`, or the reason: STARTING before the first, UNSYNCHRONISED past the end or in a longer gap."""
-        bracket = self.bracket(stamp_ns)
-        if bracket is None:
-            return Status.STARTING if stamp_ns < self.stamps_ns[0] else Status.UNSYNCHRONISED
-        left, right = bracket
-        too_long = (self.stamps_ns[right] - self.stamps_ns[left]) / 1e9 > max_gap_s
-        return Status.UNSYNCHRONISED if too_long else bracket
+        bracket = self.bracket(moment_ns)
+        if bracket is not None and self.seconds(*bracket) <= self.max_gap_s:
+            return bracket
+        return Status.STARTING if self.stamps_ns and moment_ns < self.stamps_ns[0] else Status.UNSYNCHRONISED
 
-    def spacing_ns(self, max_gap_s: float) -> int:
-        """The longest of the last seven intervals, if it may be joined; 0 for fewer than two values."""
+    def seconds(self, left: int, right: int) -> float:
+        """From one value to another."""
+        return (self.stamps_ns[right] - self.stamps_ns[left]) / 1e9
+
+    def share(self, left: int, right: int, moment_ns: int) -> float:
+        """Of the time from one value to another, how much has passed at a moment; 0 where both are the same."""
+        gap_ns = self.stamps_ns[right] - self.stamps_ns[left]
+        return (moment_ns - self.stamps_ns[left]) / gap_ns if gap_ns else 0.0
+
+    @property
+    def spacing_ns(self) -> int:
+        """The longest of the last seven intervals that may be joined; 0 for fewer than two values."""
         recent = [later - earlier for earlier, later in itertools.pairwise(self.stamps_ns[-8:])]
-        return max((gap_ns for gap_ns in recent if gap_ns <= max_gap_s * 1e9), default=0)
+        return max((gap_ns for gap_ns in recent if gap_ns <= self.max_gap_s * 1e9), default=0)
 
-    def between(self, start_ns: int, end_ns: int) -> list[T]:
-        """Values from one moment to another, both included."""
-        first = bisect.bisect_left(self.stamps_ns, start_ns)
-        return self.values[first : bisect.bisect_right(self.stamps_ns, end_ns)]
+    def between(self, start_ns: int, end_ns: int) -> Series[T]:
+        """What is held from one moment to another, both included."""
+        part = slice(bisect.bisect_left(self.stamps_ns, start_ns), bisect.bisect_right(self.stamps_ns, end_ns))
+        return Series(self.max_gap_s, self.stamps_ns[part], self.values[part])
 
     def latest(self, moment_ns: int, for_ns: int = 0) -> list[T]:
         """Values of so long until a moment, the last one at least; empty where there was none yet."""

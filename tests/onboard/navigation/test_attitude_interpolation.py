@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from contract.rotations import exp_so3, log_so3
-from onboard.navigation.attitude_interpolation import Attitudes
+from onboard.navigation.attitude_interpolation import Attitudes, Orientation
 
 SWAY_RAD = np.radians(20.0)
 
@@ -22,7 +22,7 @@ def heard(rate_hz: float, with_rates: bool, period_s: float = 4.0) -> Attitudes:
     attitudes = Attitudes(max_gap_s=5.0)
     for k in range(round(20.0 * rate_hz)):
         R, rate = rolled(k / rate_hz, period_s)
-        attitudes.insert(round(k / rate_hz * 1e9), R, rate if with_rates else None)
+        attitudes.insert(round(k / rate_hz * 1e9), Orientation(R, rate if with_rates else None))
     return attitudes
 
 
@@ -69,7 +69,8 @@ def gusty(rate_hz: float, bandwidth_hz: float, gyro_rad_s: float = 0.0) -> tuple
     attitudes = Attitudes(max_gap_s=5.0)
     every = round(100.0 / rate_hz)
     for k in range(0, len(times), every):
-        attitudes.insert(round(times[k] * 1e9), np.eye(3), rates[k] + gyro_rad_s * rng.standard_normal(3))
+        rate = rates[k] + gyro_rad_s * rng.standard_normal(3)
+        attitudes.insert(round(times[k] * 1e9), Orientation(np.eye(3), rate))
     return attitudes, times, rates
 
 

@@ -302,7 +302,7 @@ def test_memory_is_bounded() -> None:
     navigation = Navigation(PLAIN)
     for t in np.arange(0.0, 1000.0, 0.2):
         navigation.add(fix(t))
-    assert len(navigation._positions.stamps_ns) <= 5 * 2 * MEMORY_NS / 1e9 + 2
+    assert len(navigation._integrity.positions.stamps_ns) <= 5 * 2 * MEMORY_NS / 1e9 + 2
     assert isinstance(navigation.state_at(ns(900.0)), NavState)
 
 

@@ -7,7 +7,6 @@ import pytest
 
 from onboard.estimation.sensor_factors import between_covariance, shared_fixes
 from onboard.navigation.position_interpolation import Path, Position
-from onboard.navigation.time_series import Series
 from simulation.paths import PathSpec, fly_path
 from simulation.trajectory import Trajectory
 
@@ -24,10 +23,10 @@ def ns(moment_s: float) -> int:
 def flight(spec: PathSpec, every_s: float, is_online: bool = False) -> tuple[Trajectory, Path]:
     """A path and what came of it every so often; `is_online`: nothing yet after the position past half of it."""
     path = fly_path(spec, SECONDS, 1)
-    series: Series[Position] = Series()
+    known = Path(max_gap_s=2.5)
     for t in np.arange(-4.0, SECONDS / 2.0 + every_s if is_online else SECONDS + 4.0, every_s):
-        series.insert(ns(t), Position(path.position_enu_m(t), path.velocity_enu_m_s(t), None))
-    return path, Path(series, max_gap_s=2.5)
+        known.insert(ns(t), Position(path.position_enu_m(t), path.velocity_enu_m_s(t), None))
+    return path, known
 
 
 def off_and_stated(path: Trajectory, known: Path, moments: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
