@@ -26,7 +26,7 @@ from onboard.estimation import (
     window_acceptance,
     window_solver,
 )
-from onboard.navigation import position_jumps, position_slip
+from onboard.navigation import gps_integrity, position_jumps, position_slip
 from onboard.pipeline import mount_selection, pipeline
 
 Replacement = tuple[Any, str, Any]  # module or class, name, neutral value
@@ -153,6 +153,6 @@ MECHANISMS = (
     Mechanism(
         "slip test",
         "position is not held against velocity",
-        ((position_slip.SlipTest, "at", gives(position_slip.Slip())),),
+        tuple((module, "slip_at", gives(position_slip.Slip())) for module in (gps_integrity, position_jumps)),
     ),
 )

@@ -20,7 +20,7 @@ from onboard.events.types import FilterStatus, GpsQuality, PositionFix
 from onboard.navigation.limits import LIKELY_SIGMAS, LONG_NS, RECENT_NS
 from onboard.navigation.position_interpolation import Path, Position
 from onboard.navigation.position_jumps import PositionJumps
-from onboard.navigation.position_slip import SlipTest
+from onboard.navigation.position_slip import slip_at
 from onboard.navigation.time_series import Series, T
 
 Array = NDArray[np.float64]
@@ -42,8 +42,7 @@ class GpsIntegrity:
     """Fed with positions, receiver and filter reports; determines for any moment whether its position is accepted."""
 
     def __init__(self, config: Config) -> None:
-        self._gps, self._slip = config.gps, SlipTest(config.gps)
-        self._had_fix = False
+        self._gps, self._had_fix = config.gps, False
         self.forget()
 
     def forget(self) -> None:
@@ -97,7 +96,7 @@ class GpsIntegrity:
 
     def judge(self, moment_ns: int) -> tuple[str, float]:
         """Why a position at a moment is not accepted, empty if it is; and one sigma (m) of its white part."""
-        slip = self._slip.at(self.positions, moment_ns)
+        slip = slip_at(self.positions, moment_ns, self._gps)
         slips = f"position moves {slip.surely_m_s:.1f} m/s against velocity"
         fault = (
             self._receiver_fault(moment_ns)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from onboard.config.schema import Gps
 from onboard.navigation.limits import LIKELY_SIGMAS, MEMORY_NS, RECENT_NS
 from onboard.navigation.position_interpolation import Position
-from onboard.navigation.position_slip import Slip, SlipTest
+from onboard.navigation.position_slip import Slip, slip_at
 from onboard.navigation.time_series import Series
 
 Array = NDArray[np.float64]
@@ -69,7 +69,7 @@ class PositionJumps:
 
     def __init__(self, gps: Gps, was_unfit: Callable[[int, int, float], bool]) -> None:
         """`was_unfit(start_ns, end_ns, moved_m)`: whether receiver or filter had reported such an error."""
-        self._gps, self._slip, self._was_unfit = gps, SlipTest(gps), was_unfit
+        self._gps, self._was_unfit = gps, was_unfit
         self._refused: list[tuple[int, int, str]] = []  # from, until (ns), and why
         self._entries: list[_Entry] = [_Entry(0, np.zeros(3), np.zeros(2), 0)]
         self._suspected: _Entry | None = None  # of an episode under way
@@ -143,7 +143,7 @@ class PositionJumps:
         self._deviations.append((stamp_ns, self._deviations[-1][1] + drift_m))
         # Slip is known of a moment once half its window has passed.
         middle_ns = stamp_ns - RECENT_NS // 2
-        self._judge(middle_ns, self._slip.at(positions, middle_ns), sigma_m)
+        self._judge(middle_ns, slip_at(positions, middle_ns, self._gps), sigma_m)
         while self._episode is None and self._deviations[0][0] < stamp_ns - 2 * RECENT_NS:
             self._deviations.popleft()
 

@@ -39,42 +39,36 @@ class Slip:
         return self.surely_m_s > float(np.hypot(limit_m_s, LIKELY_SIGMAS * self.in_turns_m_s))
 
 
-@dataclass(frozen=True)
-class SlipTest:
-    """Positions against their own velocities, with the receiver's and the filter's errors as configured."""
+def slip_at(positions: Series[Position], moment_ns: int, gps: Gps) -> Slip:
+    """A line through positions minus integrated velocities over two seconds about a moment.
 
-    gps: Gps
-
-    def at(self, positions: Series[Position], moment_ns: int) -> Slip:
-        """A line through positions minus integrated velocities over two seconds about a moment.
-
-        Its slope less three of its sigmas, and the dispersion about it per axis; 0 where too little is known.
-        """
-        about = positions.between(moment_ns - RECENT_NS // 2, moment_ns + RECENT_NS // 2)
-        stamps_ns = np.array(about.stamps_ns, np.int64)
-        velocities = np.array([p.velocity_enu_m_s[:2] for p in about.values if p.velocity_enu_m_s is not None])
-        if (
-            len(velocities) < max(len(stamps_ns), 3)
-            or stamps_ns[-1] - stamps_ns[0] < RECENT_NS // 2
-            or np.diff(stamps_ns).max() > self.gps.max_gap_s * 1e9
-        ):
-            return Slip()
-        seconds = (stamps_ns - stamps_ns[0]) / 1e9
-        deviation = np.array([p.enu_m[:2] for p in about.values]) - _integrated(velocities, seconds)
-        deviation -= deviation.mean(axis=0)
-        t = seconds - seconds.mean()
-        span = float(t @ t)
-        slope = t @ deviation / span
-        miss = deviation - t[:, None] * slope
-        freedom = len(t) - 2
-        dispersion_m = self.gps.sigma_white_m  # of too few to estimate it from
-        if freedom >= MIN_DISPERSION_FREEDOM:
-            dispersion_m = float(np.sqrt(np.sum(miss**2) / (2 * freedom)))
-        surely = float(np.linalg.norm(slope)) - SURE_SIGMAS * dispersion_m / np.sqrt(span)
-        if surely <= 0.0:
-            return Slip(0.0, dispersion_m)
-        by_latency = _integrated(_slip_by_latency(positions, stamps_ns), seconds)
-        return Slip(surely, dispersion_m, self.gps.sigma_latency_s * float(np.linalg.norm(t @ by_latency)) / span)
+    Its slope less three of its sigmas, and the dispersion about it per axis; 0 where too little is known.
+    """
+    about = positions.between(moment_ns - RECENT_NS // 2, moment_ns + RECENT_NS // 2)
+    stamps_ns = np.array(about.stamps_ns, np.int64)
+    velocities = np.array([p.velocity_enu_m_s[:2] for p in about.values if p.velocity_enu_m_s is not None])
+    if (
+        len(velocities) < max(len(stamps_ns), 3)
+        or stamps_ns[-1] - stamps_ns[0] < RECENT_NS // 2
+        or np.diff(stamps_ns).max() > gps.max_gap_s * 1e9
+    ):
+        return Slip()
+    seconds = (stamps_ns - stamps_ns[0]) / 1e9
+    deviation = np.array([p.enu_m[:2] for p in about.values]) - _integrated(velocities, seconds)
+    deviation -= deviation.mean(axis=0)
+    t = seconds - seconds.mean()
+    span = float(t @ t)
+    slope = t @ deviation / span
+    miss = deviation - t[:, None] * slope
+    freedom = len(t) - 2
+    dispersion_m = gps.sigma_white_m  # of too few to estimate it from
+    if freedom >= MIN_DISPERSION_FREEDOM:
+        dispersion_m = float(np.sqrt(np.sum(miss**2) / (2 * freedom)))
+    surely = float(np.linalg.norm(slope)) - SURE_SIGMAS * dispersion_m / np.sqrt(span)
+    if surely <= 0.0:
+        return Slip(0.0, dispersion_m)
+    by_latency = _integrated(_slip_by_latency(positions, stamps_ns), seconds)
+    return Slip(surely, dispersion_m, gps.sigma_latency_s * float(np.linalg.norm(t @ by_latency)) / span)
 
 
 def _slip_by_latency(positions: Series[Position], moments_ns: Times) -> Array:

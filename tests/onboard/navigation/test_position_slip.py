@@ -15,7 +15,7 @@ from onboard.config.schema import parse_config
 from onboard.events.types import Frame, NavEvent, PositionFix
 from onboard.navigation.navigator import Navigation, NavState
 from onboard.navigation.position_interpolation import Position
-from onboard.navigation.position_slip import DYNAMIC_TIME_S, SlipTest
+from onboard.navigation.position_slip import DYNAMIC_TIME_S, slip_at
 from onboard.navigation.time_series import Series
 from simulation.paths import PathSpec
 
@@ -112,11 +112,10 @@ def test_acceleration_s_part_is_that_of_a_critically_damped_filter() -> None:
     positions: Series[Position] = Series()
     for moment, place, v in zip(t, flown + strayed, velocity, strict=True):
         positions.insert(round(moment * 1e9), Position(place, v, None))
-    test = SlipTest(CONFIG.gps)
     for moment in (9.0, 11.0, 12.5, 14.0, 18.0):
         about = np.abs(t - moment) < 1.001
         slope = np.polyfit(t[about], np.cumsum(slips, axis=0)[about] * 0.1, 1)[0]
-        slip = test.at(positions, round(moment * 1e9))
+        slip = slip_at(positions, round(moment * 1e9), CONFIG.gps)
         assert slip.in_turns_m_s == pytest.approx(LATENCY_S * np.linalg.norm(slope), abs=0.05 * LATENCY_S * 9.0), moment
 
 
@@ -128,5 +127,5 @@ def test_the_noise_of_rare_positions_is_no_slip() -> None:
         positions: Series[Position] = Series()
         for t in np.arange(0.0, 2.01, 0.5):
             positions.insert(round(t * 1e9), Position(rng.standard_normal(3), np.zeros(3), None))
-        found.append(SlipTest(config.gps).at(positions, 1_000_000_000).exceeds(config.gps.max_slip_m_s))
+        found.append(slip_at(positions, 1_000_000_000, config.gps).exceeds(config.gps.max_slip_m_s))
     assert not any(found)
