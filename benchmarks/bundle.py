@@ -96,8 +96,8 @@ def gtsam_graph(problem: Problem, state: State) -> tuple[Any, Any]:
     for k in range(problem.layout.keyframes):
         key = gtsam.symbol("x", k)
         values.insert(key, gtsam.Pose3(gtsam.Rot3(state.R_cam_enu[k].T), state.centres_enu_m[k]))
-        graph.add(gtsam.GPSFactor(key, gps.measured_enu_m[k], gps_noise))
-        graph.add(gtsam.PoseRotationPrior3D(key, gtsam.Rot3(attitude.R_enu_cam_measured[k]), turn_noise))
+        graph.add(gtsam.GPSFactor(key, gps.measured[k], gps_noise))
+        graph.add(gtsam.PoseRotationPrior3D(key, gtsam.Rot3(attitude.measured[k]), turn_noise))
     for j, point in enumerate(state.points_enu_m):
         values.insert(gtsam.symbol("l", j), point)
     noise = gtsam.noiseModel.Isotropic.Sigma(2, 1.0 / float(problem.weight.max()))

@@ -241,7 +241,7 @@ def _sensors(
         ]
         error_cam = np.einsum("kij,kj->ki", truth.R_cam_enu, np.stack([e for e, _ in turn], axis=1))
         measured = truth.R_cam_enu.transpose(0, 2, 1) @ exp_so3(error_cam) @ exp_so3(-truth.platform[BORESIGHT])
-        by_heading = None
+        by_heading = np.zeros((1, 2))
         if setting.heading_sigma_deg:
             by_heading = np.stack([cosine_sine_of_heading(R @ R_BODY_CAM.T) for R in measured])
             yaw = (by_heading @ truth.platform[HEADING])[:, None] * [0.0, 0.0, 1.0]

@@ -14,7 +14,7 @@ Public:
 - `resection`: `Resection`, `resect`
 - `rolling_shutter`: `Moving`, `Sweep`, `rates_between`
 - `sensor_groups`: `Failing`, `FORGOTTEN`
-- `sensor_pose`: `SensorPose`
+- `shared_errors`: `SensorPose`
 - `sliding_window`: `Window`
 - `solved_window`: `Solved`
 - `solver_executor`: `Inline`, `Promise`, `Worker`, `timed_adjust`

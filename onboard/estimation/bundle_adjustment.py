@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from contract.camera import Camera
 from onboard.estimation.factors import (
-    HeightModel,
     Layout,
     Prior,
     State,
@@ -28,6 +27,7 @@ from onboard.estimation.image_blocks import ImageBlock, blocks_of
 from onboard.estimation.rolling_shutter import Sweep
 from onboard.geometry.linalg import solve_positive
 from onboard.geometry.robust import robust_cost
+from onboard.geometry.terrain_grid import Terrain
 
 Array = NDArray[np.float64]
 
@@ -45,7 +45,7 @@ class Problem:
     priors: list[Prior]
     reference_enu_m: Array = field(default_factory=lambda: np.zeros(3))  # the plane's reference point
     ground_weight: Array | None = None  # (P,) 1 / sigma of the ground (1/m), or None for no plane under the points
-    terrain: HeightModel | None = None  # what the plane's heights are counted from, if the ground is known
+    terrain: Terrain | None = None  # what the plane's heights are counted from, if the ground is known
     # The ground's sigma is relative to what a metre of height moves in the pictures, and `ground_weight` holds where
     # that is this (1/m, `parallax_of`); None: it is in metres. In metres least squares prefer whatever takes the points
     # nearer to the plane, a smaller scene or a larger focal length: see (5.9).

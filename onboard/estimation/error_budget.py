@@ -54,7 +54,7 @@ def _terms(prior: Prior, by_noise: Array) -> Iterator[tuple[Cause, Array]]:
         names = [*(q.source for q, _ in held for _ in range(q.components)), Cause.DATUM, Cause.SLOPE, Cause.SLOPE]
         columns = (by_noise @ prior.whitener @ nearest_root(prior.whitener)).T
         yield from ((name, np.outer(column, column)) for name, column in zip(names, columns, strict=True))
-    elif isinstance(prior, RangePrior) or prior.parts is None:
+    elif isinstance(prior, RangePrior) or not prior.parts:
         yield Cause.RANGE if isinstance(prior, RangePrior) else Cause.PATH, by_noise @ by_noise.T
     else:
         n = prior.whitener.shape[1]

@@ -60,7 +60,7 @@ def found(window: WindowProblem, weighed: Weighed) -> Outcome | None:
     """The refusal of a window in which the optics changed; None if nothing did. `weighed` is its first adjustment."""
     groups, has_attitude = weighed.noise.factors.groups, have_attitude(window.keyframes)
     s = weighed.solution
-    against = contradictions(innovations(weighed.priors, s.state, s.covariance, groups, has_attitude))
+    against = contradictions(innovations(weighed.priors, s.state, s.covariance, groups))
     is_turned = has_attitude and any(i.group in (TILT, HEADING) for i in against)
     each, common = zoom_scores(window, weighed)
     is_file_doubted = common.exceeds_chance() and not window.layout.camera_states

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from onboard.config.schema import Config
 from onboard.estimation.boresight import PlatformEstimate
 from onboard.estimation.factors import (
     AttitudePrior,
-    HeightModel,
     Layout,
     Parts,
     PositionPrior,
@@ -29,10 +29,11 @@ from onboard.estimation.factors import (
 )
 from onboard.estimation.ground_slope import NO_SLOPE_PRIOR, SlopePrior
 from onboard.estimation.keyframe import Keyframe, have_attitude
-from onboard.estimation.platform_states import DELAY, PLANE, VELOCITY_DELAY
-from onboard.estimation.sensor_table import BY_NAME, HEADING, POSITION, TILT, VELOCITY, Sensor, declared
+from onboard.estimation.platform_states import DELAY, VELOCITY_DELAY
+from onboard.estimation.sensor_table import BY_NAME, POSITION, declared
 from onboard.estimation.variance_components import VarianceFactors
 from onboard.geometry.robust import OUTLIER_SIGMAS
+from onboard.geometry.terrain_grid import Terrain
 from onboard.navigation.position_interpolation import Displacement
 from onboard.navigation.position_slip import DYNAMIC_TIME_S
 
@@ -115,16 +116,23 @@ class Sensors:
         out: NDArray[np.bool_] = np.abs(self.stamps_s[1:] - self.stamps_s[:, None]) <= DYNAMIC_TIME_S
         return out
 
-    def errors(self, sensor: Sensor, parts: Mapping[str, Array], fixed: Array) -> _Errors:
-        """One axis of a sensor, (5.5): its parts (n, n) by name, as declared, and what is `fixed` (n, n).
+    def errors(
+        self, sensors: Iterable[str], slow: Iterable[Array], white: Iterable[Array], fixed: Iterable[Array]
+    ) -> tuple[Array, Parts]:
+        """Whiteners (3, n, n) of a residual's errors and their estimated parts, (5.5), axis by axis.
 
+        Given are, for each axis, the sensor, the two parts of its covariance (n, n) as declared, and what else it has.
         Each part counts by its estimated variance; all of it by the sensor's group, which says nothing of its parts
         while it fails.
         """
-        estimated = {name: self.factors.of(name) * Q for name, Q in parts.items()}
-        failing = self.factors.group_sigma(sensor.name)
-        whole = sum(estimated.values(), fixed)
-        return _Errors(whitener_of(failing**2 * whole), estimated if failing == 1.0 else {})
+        whole, parts = [], []
+        for name, Q_slow, Q_white, Q_fixed in zip(sensors, slow, white, fixed, strict=True):
+            declared_parts = {name: Q_slow, BY_NAME[name].white: Q_white}
+            estimated = {part: self.factors.of(part) * Q for part, Q in declared_parts.items()}
+            failing = self.factors.group_sigma(name)
+            whole.append(failing**2 * sum(estimated.values(), Q_fixed))
+            parts.append(estimated if failing == 1.0 else {})
+        return whitener_of(np.stack(whole)), tuple(parts)
 
 
 def _stamps_s(keyframes: Sequence[Keyframe]) -> Array:
@@ -143,49 +151,34 @@ def _fading(stamps_s: Array, sigma: Array) -> Array:
     return out
 
 
-@dataclass(frozen=True, eq=False)
-class _Errors:
-    """One sensor's errors on one axis in a window: the whitener (n, n) of their covariance, and its estimated parts."""
-
-    whitener: Array
-    parts: dict[str, Array]
-
-
-def _both(errors: list[_Errors]) -> tuple[Array, Parts]:
-    """Whiteners (3, n, n) and parts of three axes."""
-    one, two, three = (e.parts for e in errors)
-    return np.stack([e.whitener for e in errors]), (one, two, three)
+def _independent(variance: Array) -> Array:
+    """Covariances (3, N, N) of independent errors with these variances (N, 3)."""
+    out: Array = variance.T[:, :, None] * np.eye(len(variance))
+    return out
 
 
 def _position(m: Sensors) -> PositionPrior:
-    config, keyframes, sensor, stamps = m.config, m.keyframes, BY_NAME[POSITION], m.stamps_s
-    horizontal = max(k.nav.sigma_horizontal_m for k in keyframes)
-    slow_m = np.array([horizontal, horizontal, max(k.nav.sigma_vertical_m for k in keyframes)])
-    white_m = np.array([k.nav.sigma_white_m for k in keyframes])
-    between_m = np.stack([k.nav.joined.between_m for k in keyframes])
-    shared = shared_fixes([k.nav.joined.weights for k in keyframes])
-    datum_m = np.array([0.0, 0.0, max(k.nav.sigma_datum_m for k in keyframes)])
-    in_turns = _fading(stamps, 0.5 * DYNAMIC_TIME_S * m.dynamic_m_s)
-    errors = []
-    for axis, share in enumerate((1.0, 1.0, 1.5)):
-        declared_parts = {
-            sensor.name: gauss_markov_covariance(stamps, slow_m[axis], sensor.time_s(config)),
-            sensor.white: shared * np.outer(share * white_m, share * white_m),
-        }
-        own = (m.jitter_s * m.velocities_enu_m_s[:, axis]) ** 2 + between_m[:, axis] ** 2
-        errors.append(m.errors(sensor, declared_parts, in_turns + np.diag(own) + datum_m[axis] ** 2))
-    whitener, parts = _both(errors)
-    grown_m = slow_m * m.factors.sigma(POSITION) * m.factors.group_sigma(POSITION)
-    taken_s = np.array([k.nav_offset_s + k.nav_delay_s for k in keyframes])
+    stamps, navs, time_s = m.stamps_s, [k.nav for k in m.keyframes], m.config.gps.correlation_time_s
+    claims_m = np.array([(n.sigma_horizontal_m, n.sigma_horizontal_m, n.sigma_vertical_m) for n in navs])
+    slow_m, datum_m = claims_m.max(axis=0), max(n.sigma_datum_m for n in navs)
+    white_m = np.outer([1.0, 1.0, 1.5], [n.sigma_white_m for n in navs])
+    white = shared_fixes([n.joined.weights for n in navs]) * (white_m[:, :, None] * white_m[:, None])
+    between_m = np.stack([n.joined.between_m for n in navs])
+    fixed = _independent((m.jitter_s * m.velocities_enu_m_s) ** 2 + between_m**2)
+    fixed += _fading(stamps, 0.5 * DYNAMIC_TIME_S * m.dynamic_m_s)
+    fixed[2] += datum_m**2
+    slow = gauss_markov_covariance(stamps, slow_m[:, None, None], time_s)
+    whitener, parts = m.errors(PositionPrior.sensors, slow, white, fixed)
+    persistent = persistent_sigma(stamps, slow_m * m.factors.slow_sigma(POSITION), time_s)
     return PositionPrior(
         m.layout,
-        np.stack([k.nav.position_enu_m for k in keyframes]),
+        np.stack([n.position_enu_m for n in navs]),
         m.velocities_enu_m_s,
         whitener,
-        taken_s,
-        np.hypot([persistent_sigma(stamps, s, sensor.time_s(config)) for s in grown_m], datum_m),
-        m.lever_cam_m,
+        np.array([k.nav_offset_s + k.nav_delay_s for k in m.keyframes]),
+        np.hypot(persistent, [0.0, 0.0, datum_m]),
         parts,
+        m.lever_cam_m,
     )
 
 
@@ -196,38 +189,33 @@ def velocity_sigma_m_s(config: Config, keyframes: Sequence[Keyframe]) -> float:
 
 def _velocity(m: Sensors) -> list[Prior]:
     """Displacements by integrated velocity, whose error is white from interval to interval and Gauss-Markov. (5.6)"""
-    config, keyframes = m.config, m.keyframes
-    known = np.array([k.displacement is not None for k in keyframes[1:]], bool)
-    if not config.solve.velocity or not known.any():
+    gps, later = m.config.gps, m.keyframes[1:]
+    displacement = [k.displacement for k in later]
+    known = np.array([d is not None for d in displacement], bool)
+    if not m.config.solve.velocity or not known.any():
         return []
-    displacement = [np.zeros(3) if k.displacement is None else k.displacement.enu_m for k in keyframes[1:]]
     stamps, velocities = m.stamps_s, m.velocities_enu_m_s
     speed = np.linalg.norm(velocities, axis=1)
     dt = np.maximum(np.diff(stamps), 0.05)
-    # The white error lasts about a second: over longer intervals it averages.
-    white_m = config.gps.sigma_velocity_m_s * np.sqrt(dt * np.minimum(dt, 1.0))
     middle = 0.5 * (stamps[1:] + stamps[:-1])
-    erring = dt * np.maximum(m.dynamic_m_s[1:], m.dynamic_m_s[:-1])
+    # The white error lasts about a second: over longer intervals it averages.
+    white = np.diag(gps.sigma_velocity_m_s**2 * dt * np.minimum(dt, 1.0))
+    slow_m = dt * velocity_sigma_m_s(m.config, m.keyframes)
+    slow = np.outer(slow_m, slow_m) * gauss_markov_covariance(middle, 1.0, gps.velocity_correlation_time_s)
     # An interval over a gap of the telemetry says nothing; those about it do.
     unknown = np.where(known, (m.jitter_s * np.hypot(speed[1:], speed[:-1])) ** 2, UNKNOWN_M**2)
-    slow_m = dt * velocity_sigma_m_s(config, keyframes)
-    sensor = BY_NAME[VELOCITY]
-    declared_parts = {
-        sensor.name: np.outer(slow_m, slow_m) * gauss_markov_covariance(middle, 1.0, sensor.time_s(config)),
-        sensor.white: np.diag(white_m**2),
-    }
-    fixed = np.diag(unknown) + _fading(middle, erring)
-    between = between_covariance([k.displacement for k in keyframes[1:]])
-    whitener, parts = _both([m.errors(sensor, declared_parts, fixed + own) for own in between])
+    turning = _fading(middle, dt * np.maximum(m.dynamic_m_s[1:], m.dynamic_m_s[:-1]))
+    fixed = between_covariance(displacement) + np.diag(unknown) + turning
+    whitener, parts = m.errors(VelocityPrior.sensors, [slow] * 3, [white] * 3, fixed)
     return [
         VelocityPrior(
             m.layout,
-            np.array(displacement),
+            np.array([np.zeros(3) if d is None else d.enu_m for d in displacement]),
             np.diff(velocities, axis=0),
             whitener,
-            np.array([k.nav_offset_s for k in keyframes])[1:],
-            lever_cam_m=m.lever_cam_m,
+            np.array([k.nav_offset_s for k in later]),
             parts=parts,
+            lever_cam_m=m.lever_cam_m,
         )
     ]
 
@@ -243,51 +231,43 @@ def shared_fixes(weights: Sequence[Mapping[int, float]]) -> Array:
 
 def between_covariance(displacement: Sequence[Displacement | None]) -> Array:
     """Covariance (3, n, n) of distances travelled by what velocity did between positions: gap by gap. (5.20)"""
-    gaps = sorted({stamp_ns for f in displacement if f is not None for stamp_ns in f.between_m})
-    by_gap = np.zeros((len(displacement), len(gaps), 3))
-    for row, f in zip(by_gap, displacement, strict=True):
-        for stamp_ns, sigma_m in ({} if f is None else f.between_m).items():
-            row[gaps.index(stamp_ns)] = sigma_m
+    between_m = [{} if d is None else d.between_m for d in displacement]
+    gaps = sorted({stamp_ns for b in between_m for stamp_ns in b})
+    by_gap = np.array([[b.get(stamp_ns, np.zeros(3)) for stamp_ns in gaps] for b in between_m])
+    by_gap = by_gap.reshape(len(between_m), len(gaps), 3)
     out: Array = np.einsum("iga,jga->aij", by_gap, by_gap)
     return out
 
 
 def _attitude(m: Sensors) -> list[Prior]:
+    """The autopilot's, (5.7), or where that gives none what the path shows of it, (5.10)."""
     config, keyframes, stamps = m.config, m.keyframes, m.stamps_s
     offsets = np.array([k.nav_offset_s for k in keyframes])
-    if have_attitude(keyframes):
-        R_enu_cam = np.stack([k.nav.R_enu_body @ m.R_body_cam for k in keyframes if k.nav.R_enu_body is not None])
-        rates = np.stack([k.body_rate_rad_s for k in keyframes]) @ m.R_body_cam
-        turning = np.einsum("kij,kj->ki", R_enu_cam, rates)
-        between = np.array([k.nav.attitude_sigma_rad for k in keyframes])
-        # A gimbal's yaw that counts from nowhere is off by one angle, a state of each window. (5.18)
-        zero = np.array([k.nav.yaw_sigma_rad for k in keyframes])
-        late = _fading(stamps, m.turning_rad(turning[:, 2]))
-        errors, shared = [], []
-        for axis, name in enumerate((TILT, TILT, HEADING)):
-            sensor, fixed = BY_NAME[name], np.diag(between**2 + (m.jitter_s * turning[:, axis]) ** 2)
-            fixed = fixed + late * (name == HEADING)
-            declared_parts = {
-                sensor.name: gauss_markov_covariance(stamps, declared(config, sensor.name), sensor.time_s(config)),
-                sensor.white: declared(config, sensor.white) ** 2 * np.eye(len(stamps)),
-            }
-            own_zero = zero if name == HEADING else np.zeros_like(zero)
-            errors.append(m.errors(sensor, declared_parts, fixed + np.outer(own_zero, own_zero)))
-            slow = persistent_sigma(stamps, attitude_sigma(config, m.factors, name), sensor.time_s(config))
-            shared.append(float(np.hypot(slow, own_zero.mean())))
-        whitener, parts = _both(errors)
-        bodies = np.stack([k.nav.R_enu_body for k in keyframes if k.nav.R_enu_body is not None])
-        by_heading = cosine_sine_of_heading(bodies)
-        return [AttitudePrior(m.layout, R_enu_cam, rates, whitener, offsets, np.array(shared), by_heading, parts)]
-    coordinated = _coordinated(m.R_body_cam, stamps, m.velocities_enu_m_s)
-    if coordinated is None:
-        return []
-    time_s = config.gps.correlation_time_s
-    loose = gauss_markov_sqrt_information(stamps, PATH_WHITE_SIGMA_RAD, PATH_SIGMA_RAD, time_s)
-    heading_of_path = gauss_markov_sqrt_information(stamps, PATH_WHITE_SIGMA_RAD, 2 * PATH_SIGMA_RAD, time_s)
-    still = np.zeros((m.layout.keyframes, 3))
-    persistent = np.array([persistent_sigma(stamps, s, time_s) for s in PATH_SIGMA_RAD * np.array([1.0, 1.0, 2.0])])
-    return [AttitudePrior(m.layout, coordinated, still, np.stack([loose, loose, heading_of_path]), offsets, persistent)]
+    if not have_attitude(keyframes):
+        R_enu_cam = coordinated_turn(m.R_body_cam, keyframes)
+        if R_enu_cam is None:
+            return []
+        sigma, time_s = PATH_SIGMA_RAD * np.array([1.0, 1.0, 2.0]), config.gps.correlation_time_s
+        whitener = gauss_markov_sqrt_information(stamps, PATH_WHITE_SIGMA_RAD, sigma[:, None, None], time_s)
+        still, persistent = np.zeros((len(stamps), 3)), persistent_sigma(stamps, sigma, time_s)
+        return [AttitudePrior(m.layout, R_enu_cam, still, whitener, offsets, persistent)]
+    R_enu_body = np.stack([k.nav.R_enu_body for k in keyframes if k.nav.R_enu_body is not None])
+    R_enu_cam = R_enu_body @ m.R_body_cam
+    rates = np.stack([k.body_rate_rad_s for k in keyframes]) @ m.R_body_cam
+    turning = np.einsum("kij,kj->ki", R_enu_cam, rates)
+    between = np.array([k.nav.attitude_sigma_rad for k in keyframes])
+    # A gimbal's yaw that counts from nowhere is off by one angle, a state of each window. (5.18)
+    zero = np.array([k.nav.yaw_sigma_rad for k in keyframes])
+    fixed = _independent(between[:, None] ** 2 + (m.jitter_s * turning) ** 2)
+    fixed[2] += _fading(stamps, m.turning_rad(turning[:, 2])) + np.outer(zero, zero)
+    time_s = config.solve.attitude_correlation_time_s
+    slow = [gauss_markov_covariance(stamps, declared(config, name), time_s) for name in AttitudePrior.sensors]
+    white = [declared(config, BY_NAME[name].white) ** 2 * np.eye(len(stamps)) for name in AttitudePrior.sensors]
+    whitener, parts = m.errors(AttitudePrior.sensors, slow, white, fixed)
+    persistent = persistent_sigma(stamps, attitude_sigma_rad(config, m.factors), time_s)
+    persistent = np.hypot(persistent, [0.0, 0.0, zero.mean()])
+    by_heading = cosine_sine_of_heading(R_enu_body)
+    return [AttitudePrior(m.layout, R_enu_cam, rates, whitener, offsets, persistent, parts, by_heading)]
 
 
 def cosine_sine_of_heading(R_enu_body: Array) -> Array:
@@ -297,9 +277,9 @@ def cosine_sine_of_heading(R_enu_body: Array) -> Array:
     return out
 
 
-def attitude_sigma(config: Config, factors: VarianceFactors, name: str) -> float:
-    """One sigma (rad) of the Gauss-Markov part of TILT or of HEADING, as estimated so far."""
-    return declared(config, name) * factors.sigma(name) * factors.group_sigma(name)
+def attitude_sigma_rad(config: Config, factors: VarianceFactors) -> Array:
+    """One sigma (3,) of the attitude's Gauss-Markov part about east, north, up, as estimated so far."""
+    return np.array([declared(config, name) * factors.slow_sigma(name) for name in AttitudePrior.sensors])
 
 
 def range_prior(
@@ -308,7 +288,7 @@ def range_prior(
     reference_enu_m: Array,
     plane: Array,
     ground_sigma_m: float,
-    terrain: HeightModel | None,
+    terrain: Terrain | None,
 ) -> RangePrior | None:
     """The range finder's distances, where keyframes have any; an echo unlike the others (a roof) is left out. (5.12)
 
@@ -330,18 +310,14 @@ def range_prior(
     return RangePrior(layout, index[keep], vectors[keep], sigma_m[keep], reference_enu_m, terrain)
 
 
-def coordinated_turn(R_body_cam: Array, keyframes: list[Keyframe]) -> Array | None:
-    """R_enu_cam (K, 3, 3) by the path alone, (5.10); None while it is slow."""
-    return _coordinated(R_body_cam, _stamps_s(keyframes), _velocities(keyframes))
-
-
-def _coordinated(R_body_cam: Array, stamps_s: Array, velocities: Array) -> Array | None:
+def coordinated_turn(R_body_cam: Array, keyframes: Sequence[Keyframe]) -> Array | None:
     """R_enu_cam (K, 3, 3) of a vehicle that heads where it flies and banks into its turns; None while it is slow.
 
     Lift acts along the aircraft's own up axis, so that axis lies near acceleration plus gravity. A weak prior, (5.10),
     but one that an upside-down solution contradicts.
     """
-    if len(stamps_s) < 2 or np.linalg.norm(velocities[:, :2], axis=1).min() < 3.0:
+    stamps_s, velocities = _stamps_s(keyframes), _velocities(keyframes)
+    if len(keyframes) < 2 or np.linalg.norm(velocities[:, :2], axis=1).min() < 3.0:
         return None
     acceleration = np.gradient(velocities, stamps_s, axis=0)
     up = acceleration + np.array([0.0, 0.0, GRAVITY_M_S2])
@@ -358,9 +334,8 @@ def with_delays_held_open(config: Config, platform: PlatformEstimate) -> Platfor
 
     What turns show of a filter's delays is not all of them: inertial sensors keep turns in time. (5.15)
     """
-    covariance = platform.covariance.copy()
-    for delay in (DELAY, VELOCITY_DELAY):
-        covariance[delay, delay] += max(config.gps.sigma_latency_s**2 - covariance[delay, delay], 0.0)
+    covariance, delays = platform.covariance.copy(), [DELAY, VELOCITY_DELAY]
+    covariance[delays, delays] = np.maximum(covariance[delays, delays], config.gps.sigma_latency_s**2)
     return replace(platform, covariance=covariance)
 
 
@@ -374,15 +349,11 @@ def shared_prior(
     config: Config, layout: Layout, platform: PlatformEstimate, has_terrain: bool, slope: SlopePrior | None = None
 ) -> SharedPrior:
     """Boresight and time offset as estimated so far, and the ground plane's slope and height."""
-    covariance = with_delays_held_open(config, platform).covariance
-    shared = len(covariance)
+    height_m = 1e4
     if slope is None:
         slope = SlopePrior(covariance=level_sigma(config) ** 2 * np.eye(2))
-    height_m = 1e4
     if has_terrain:  # the plane is then what the terrain model is off by, as a whole
         slope, height_m = SlopePrior(covariance=TERRAIN_SLOPE_SIGMA**2 * np.eye(2)), config.terrain.sigma_datum_m + 1e-3
-    whitener = np.zeros((shared + PLANE, shared + PLANE))
-    whitener[:shared, :shared] = np.linalg.inv(np.linalg.cholesky(covariance))
-    whitener[shared, shared] = 1.0 / height_m
-    whitener[shared + 1 :, shared + 1 :] = slope.whitener
+    held_open = with_delays_held_open(config, platform).covariance
+    whitener = block_diag(whitener_of(held_open), 1.0 / height_m, slope.whitener)
     return SharedPrior(layout, np.concatenate([platform.mean, [0.0], slope.mean]), whitener)

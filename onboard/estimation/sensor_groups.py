@@ -1,10 +1,9 @@
 """Whether a sensor contradicts all the others in a window, and what it then counts for. Section 13, (13.3) to (13.5).
 
-Variance components (`variance_components`) find errors that are larger than declared all along. A sensor that is
-suddenly wrong (a compass near metal, an attitude that jumps, a velocity that has gone astray) is another matter: over
-minutes it is rare, and in its window it is everything. So each group of residuals is held against what all others
-say of it, which is its innovation. The group that contradicts them most counts with a variance that makes it
-consistent, in that window and, fading, in those after it; and it is reported by name.
+Variance components (`variance_components`) find errors that are larger than declared all along; a sensor that is
+suddenly wrong (a compass near metal, an attitude that jumps) is rare over minutes, and in its window it is everything.
+So each group of residuals is held against what all others say of it, its innovation. The group that contradicts them
+most counts with a variance that makes it consistent, in that window and, fading, in those after it.
 """
 
 from __future__ import annotations
@@ -14,10 +13,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 from scipy.special import chdtri, fdtri
 
-from onboard.estimation.factors import AttitudePrior, PositionPrior, Prior, State, VelocityPrior
-from onboard.estimation.sensor_table import BY_NAME, SENSORS
+from onboard.estimation.factors import Prior, State, of_sensors
+from onboard.estimation.sensor_table import BY_NAME
 
 Array = NDArray[np.float64]
 
@@ -59,21 +59,16 @@ class Failing:
         """Whether any failed in the window that ended then."""
         return any(f.last_ns == end_ns for f in self.failures.values())
 
-    def explained(self) -> Failing:
-        """After something else has been found to be what contradicted: no sensor fails, what was counted stays."""
-        return Failing({}, self.windows)
-
     def after(self, start_ns: int, end_ns: int, failed: Mapping[str, float]) -> Failing:
         """After a window in which the groups of `failed` did, with the factors that make them consistent."""
         kept = {n: f for n, f in self.failures.items() if f.at(start_ns) > FORGOTTEN}
         for name, factor in failed.items():
-            before = kept.get(name)
-            since_ns = end_ns if before is None else before.since_ns
-            kept[name] = Failure(since_ns, end_ns, max(factor, 0.0 if before is None else before.at(start_ns)))
+            before = kept.get(name, Failure(end_ns, end_ns, 1.0))
+            kept[name] = Failure(before.since_ns, end_ns, max(factor, before.at(start_ns)))
         return Failing(kept, {n: self.windows.get(n, 0) + (n in failed) for n in {**self.windows, **failed}})
 
 
-def _limit(states: int, count: float = np.inf) -> float:
+def _limit(states: int, count: float) -> float:
     """What so many squares of one sigma exceed once in 1 / FALSE_ALARM, the variance known by so many measurements."""
     if not np.isfinite(count):
         return float(chdtri(states, FALSE_ALARM))
@@ -96,26 +91,25 @@ class Innovation:
 
     def excess(self) -> float:
         """Above 1: the group contradicts the others, even with the largest variance that it may have. (13.4)"""
-        return max(t / _limit(states, self.count) for t, states in self._statistics(1.0))
+        return self._excess(1.0, self.count)
 
-    def _statistics(self, variance: float) -> tuple[tuple[float, int], tuple[float, int]]:
-        """The squares of (13.4) with the group's variance times `variance`, and their degrees of freedom."""
+    def _excess(self, variance: float, count: float) -> float:
+        """T of (13.4) with the group's variance times `variance`, which is known by so many measurements."""
         n, m = self.constant.shape
         factor = np.linalg.cholesky(self.predicted + variance * np.eye(n))
         half = np.linalg.solve(factor, np.column_stack([self.residual, self.constant]))
-        of_constant = half[:, 1:]
-        pull = of_constant.T @ half[:, 0]
-        by_constant = float(pull @ np.linalg.solve(of_constant.T @ of_constant, pull))
-        return (float(half[:, 0] @ half[:, 0]), n), (by_constant, m)
+        of_all, of_constant = half[:, 0], half[:, 1:]
+        pull = of_constant.T @ of_all
+        by_constant = pull @ np.linalg.solve(of_constant.T @ of_constant, pull)
+        return float(max(of_all @ of_all / _limit(n, count), by_constant / _limit(m, count)))
 
     def consistent_variance(self) -> float:
         """The least factor on its variance with which the group is as near to the others as errors usually are."""
         low, high = 0.0, 14.0  # of its logarithm
-        usual = self.constant.shape[0] / _limit(self.constant.shape[0])
+        usual = len(self.residual) / _limit(len(self.residual), np.inf)
         while high - low > 0.1:
             middle = 0.5 * (low + high)
-            found = max(t / _limit(states) for t, states in self._statistics(float(np.exp(middle))))
-            low, high = (middle, high) if found > usual else (low, middle)
+            low, high = (middle, high) if self._excess(float(np.exp(middle)), np.inf) > usual else (low, middle)
         return float(np.exp(high))
 
 
@@ -124,60 +118,45 @@ def innovations(
     state: State,
     covariance: Array,
     factors: Mapping[str, float],
-    has_attitude: bool,
     known_by: Callable[[str], float] = lambda name: np.inf,
 ) -> list[Innovation]:
     """Each group's, from a solution that holds all residuals; `covariance` (D, D) is the camera side's.
 
     `factors`: those on the groups' variances that the whiteners already hold: what is held against the others are
-    the variances without them. `has_attitude`: an attitude was measured. `known_by`: how many effective measurements
-    each group's variance was estimated from, by its name.
+    the variances without them. `known_by`: how many effective measurements each group's variance was estimated from,
+    by its name.
     """
     out = []
-    for sensor in SENSORS:
-        for prior in priors:
-            if not isinstance(prior, PositionPrior | VelocityPrior | AttitudePrior):
-                continue
-            if not isinstance(prior, sensor.residual) or (isinstance(prior, AttitudePrior) and not has_attitude):
-                continue
-            axes, n, sigma = sensor.axes, prior.whitener.shape[1], np.sqrt(factors.get(sensor.name, 1.0))
-            r, J = prior.evaluate(state)
-            r = r.reshape(3, n)[axes].ravel()
-            J = J.reshape(3, n, -1)[axes].reshape(len(r), -1)
-            constant = np.zeros((len(r), len(r) // n))
-            for k, W in enumerate(prior.whitener[axes]):
-                constant[k * n : (k + 1) * n, k] = W.sum(axis=1)
+    for prior in of_sensors(priors):
+        residuals, jacobians = prior.by_axis(state)
+        for group in dict.fromkeys(prior.sensors):
+            axes, sigma = np.array(prior.sensors) == group, np.sqrt(factors.get(group, 1.0))
+            r = residuals[axes].ravel()
+            J = jacobians[axes].reshape(len(r), -1)
+            constant = block_diag(*prior.whitener[axes].sum(axis=2, keepdims=True))
             values, vectors = np.linalg.eigh(np.eye(len(r)) - J @ covariance @ J.T)
             known = values > LEAST_REDUNDANCY
             values = np.clip(values, LEAST_REDUNDANCY, 1.0)
-            without = (vectors * (known / values)) @ vectors.T
-            predicted = (vectors * (1.0 / values - 1.0)) @ vectors.T
-            out.append(
-                Innovation(
-                    sensor.name, sigma * (without @ r), sigma**2 * predicted, sigma * constant, known_by(sensor.name)
-                )
-            )
+            own = sigma * (vectors * (known / values)) @ (vectors.T @ r)
+            predicted = sigma**2 * (vectors * (1.0 / values - 1.0)) @ vectors.T
+            out.append(Innovation(group, own, predicted, sigma * constant, known_by(group)))
     return out
 
 
 def contradictions(found: list[Innovation]) -> list[Innovation]:
-    """Those that exceed their limits, the farthest first."""
-    return sorted((i for i in found if i.excess() > 1.0), key=lambda i: -i.excess())
-
-
-Solve = Callable[[Mapping[str, float]], list[Innovation]]
+    """Those that exceed their limits."""
+    return [i for i in found if i.excess() > 1.0]
 
 
 def failing_groups(
-    found: list[Innovation], solve: Solve, held: Mapping[str, float]
+    found: list[Innovation], solve: Callable[[Mapping[str, float]], list[Innovation]], held: Mapping[str, float]
 ) -> tuple[dict[str, float], set[str]]:
     """The factors by which groups' variances grow in a window, and the groups that contradict the others in it.
 
     `found`: innovations with the factors of `held`, which fade since earlier windows; `solve` gives them with other
-    factors. That group fails without which the others agree best, and only if position and velocity then do not
-    contradict the pictures: where they do, the pictures are as likely to be wrong (a convoy, water), and whether the
-    window may be published is for the residuals to say. Therefore only the attitude's groups may fail. Position
-    and velocity are held against each other before any window (`navigation.position_doubt`). Equation (13.5).
+    factors. That group fails without which the others agree best, (13.5), and only if those that may not fail then do
+    not contradict the pictures: where they do, the pictures are as likely to be wrong (a convoy, water). Position and
+    velocity are held against each other before any window (`navigation.position_doubt`).
     """
     factors, failed = dict(held), set[str]()
     while True:
@@ -192,8 +171,7 @@ def failing_groups(
                 continue
             trial = {**factors, i.group: LEFT_OUT * i.consistent_variance()}
             left = solve(trial)
-            others = max((j.excess() for j in left if not BY_NAME[j.group].may_fail), default=0.0)
-            if others <= 1.0:
+            if all(BY_NAME[j.group].may_fail for j in contradictions(left)):
                 rest = max((j.excess() for j in left if j.group not in trial), default=0.0)
                 trials.append((rest, i.group, trial, left))
         if not trials:

@@ -1,4 +1,4 @@
-"""One table of the sensors' errors: whose, about which axes, how correlated, how large, and which sensor may fail.
+"""One table of the sensors' errors: whose, how large, and which sensor may fail.
 
 Every sensor's error has a Gauss-Markov part and a white part, (5.5). The configuration gives one sigma of each, where
 `variance_components` begins to estimate them from the flight's own residuals. What a receiver or filter claims of its
@@ -12,27 +12,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from onboard.config.schema import Config
-from onboard.estimation.factors import AttitudePrior, PositionPrior, VelocityPrior
 
 POSITION, VELOCITY, TILT, HEADING = "position", "velocity", "tilt", "heading"
 
 
 @dataclass(frozen=True)
 class Sensor:
-    """One row: `sigma`, `white_sigma` and `time` are the keys of the Gauss-Markov part, the white part, and its time.
+    """One row: `sigma` and `white_sigma` are the keys of the Gauss-Markov part and of the white part, in `unit`.
 
-    `axes` are those of the residual's three that it measures. Where `may_fail`, a window may leave it out
-    (`sensor_groups`); sigmas are in `unit`, as configured and reported. Of a sensor that `has_claim` the
-    Gauss-Markov sigma is the receiver's or the filter's own, or what is configured in its place.
+    Where `may_fail`, a window may leave it out (`sensor_groups`). Of a sensor that `has_claim` the Gauss-Markov sigma
+    is the receiver's or the filter's own, or what is configured in its place.
     """
 
     name: str
-    residual: type[PositionPrior | VelocityPrior | AttitudePrior]
-    axes: slice
-    unit: str
+    unit: str  # as configured and reported
     sigma: str
     white_sigma: str
-    time: str
     may_fail: bool = False
     has_claim: bool = False
 
@@ -41,31 +36,13 @@ class Sensor:
         """The name of the white part; the Gauss-Markov part has the sensor's own."""
         return f"{self.name}_white"
 
-    def time_s(self, config: Config) -> float:
-        """Correlation time of the Gauss-Markov part."""
-        return configured(config, self.time)
-
 
 SENSORS = (
-    Sensor(
-        POSITION, PositionPrior, slice(0, 3), "m",
-        "gps.sigma_correlated_horizontal_m", "gps.sigma_white_m", "gps.correlation_time_s",
-        has_claim=True,
-    ),
-    Sensor(
-        VELOCITY, VelocityPrior, slice(0, 3), "m/s",
-        "gps.sigma_velocity_correlated_m_s", "gps.sigma_velocity_m_s", "gps.velocity_correlation_time_s",
-        has_claim=True,
-    ),
-    Sensor(
-        TILT, AttitudePrior, slice(0, 2), "deg",
-        "solve.attitude_sigma_deg", "solve.attitude_white_sigma_deg", "solve.attitude_correlation_time_s", True,
-    ),
-    Sensor(
-        HEADING, AttitudePrior, slice(2, 3), "deg",
-        "solve.heading_sigma_deg", "solve.heading_white_sigma_deg", "solve.attitude_correlation_time_s", True,
-    ),
-)  # fmt: skip
+    Sensor(POSITION, "m", "gps.sigma_correlated_horizontal_m", "gps.sigma_white_m", has_claim=True),
+    Sensor(VELOCITY, "m/s", "gps.sigma_velocity_correlated_m_s", "gps.sigma_velocity_m_s", has_claim=True),
+    Sensor(TILT, "deg", "solve.attitude_sigma_deg", "solve.attitude_white_sigma_deg", may_fail=True),
+    Sensor(HEADING, "deg", "solve.heading_sigma_deg", "solve.heading_white_sigma_deg", may_fail=True),
+)
 BY_NAME = {s.name: s for s in SENSORS}
 # The parts whose variances are estimated, each by its name: where it is configured, and in which unit.
 PARTS = {name: (key, s.unit) for s in SENSORS for name, key in ((s.name, s.sigma), (s.white, s.white_sigma))}

@@ -27,8 +27,7 @@ from onboard.estimation.moved_optics import MOVED
 from onboard.estimation.platform_states import DELAY, OFFSET, STATES
 from onboard.estimation.second_start import by_attitude
 from onboard.estimation.sensor_factors import level_sigma, shared_prior, with_delays_held_open
-from onboard.estimation.sensor_pose import SensorPose
-from onboard.estimation.shared_errors import make_sensor_pose
+from onboard.estimation.shared_errors import SensorPose, make_sensor_pose
 from onboard.estimation.solved_window import Solved
 from onboard.estimation.window_acceptance import MIN_POINTS, Memory
 from onboard.estimation.window_request import Noise, Outcome, Request
@@ -252,7 +251,8 @@ class Window:
         offset_s, delay_s = self.times_s()
         self.refusal = f"attitudes fit at another time offset: {clock.best_s:+.2f} s, not {offset_s:+.2f}"
         self.forget_solutions()
-        self.noise = replace(self.noise, failing=self.noise.failing.explained())
+        failing = replace(self.noise.failing, failures={})  # the clock contradicted, no sensor
+        self.noise = replace(self.noise, failing=failing)
         if clock.rejects(float(self.alignment.platform.mean[OFFSET])):
             self.alignment.forget()
         self._times_s = clock.best_s, delay_s

@@ -17,7 +17,7 @@ from onboard.estimation import camera_states, ground_weight, moved_optics, row_w
 from onboard.estimation.bundle_adjustment import Problem, Solution, solve
 from onboard.estimation.factors import WAVES, AttitudePrior, Layout, Prior, State, VelocityPrior
 from onboard.estimation.ground_motion import ground_motion, ground_sigma_m_s
-from onboard.estimation.keyframe import Ids, have_attitude
+from onboard.estimation.keyframe import Ids
 from onboard.estimation.pixel_noise import fit_of, view_states
 from onboard.estimation.second_start import (
     MAX_ROTATION_SIGMA_DEG,
@@ -150,14 +150,13 @@ def _adjusted(request: Request) -> Outcome:
 
 def _without_failing_sensors(window: WindowProblem, weighed: Weighed) -> tuple[Weighed, set[str]]:
     """The window with the sensors down-weighted that fail by it, and the names of those that were found to."""
-    noise, has_attitude = weighed.noise, have_attitude(window.keyframes)
-    held = noise.factors.groups
+    noise, held = weighed.noise, weighed.noise.factors.groups
     if not noise.factors.stamp_ns:  # a sensor that never agreed with pictures (a convoy) has not failed: refused below
         return weighed, set()
 
     def of(solved: Weighed, groups: Mapping[str, float]) -> list[Innovation]:
         s = solved.solution
-        return innovations(solved.priors, s.state, s.covariance, groups, has_attitude, noise.factors.known_by)
+        return innovations(solved.priors, s.state, s.covariance, groups, noise.factors.known_by)
 
     def innovations_with(groups: Mapping[str, float]) -> list[Innovation]:
         factors = replace(noise.factors, groups=groups)

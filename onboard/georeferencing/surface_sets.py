@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from contract.feature_set import DepthSource, FeatureSet, Status
 from contract.rotations import exp_so3
 from onboard.config.schema import Config
-from onboard.estimation.sensor_pose import SensorPose
+from onboard.estimation.shared_errors import SensorPose
 from onboard.estimation.sliding_window import Window
 from onboard.geometry.plane_homography import Pose
 from onboard.georeferencing.feature_sets import Features, Linearised, Picture, assemble, common_states

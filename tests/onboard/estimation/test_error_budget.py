@@ -85,7 +85,7 @@ def errors_of(name: str, problem: Problem, rng: np.random.Generator) -> Problem:
 
     def by_axis(prior: PositionPrior | VelocityPrior | AttitudePrior, parts: tuple[str, ...], rest: bool) -> Array:
         """(n, 3): the named parts, or what is left of each axis's covariance without them."""
-        assert prior.parts is not None
+        assert prior.parts
         out = []
         for W, own in zip(prior.whitener, prior.parts, strict=True):
             whole = np.linalg.inv(W.T @ W)
@@ -96,13 +96,13 @@ def errors_of(name: str, problem: Problem, rng: np.random.Generator) -> Problem:
     def changed(prior: Prior) -> Prior:
         if isinstance(prior, PositionPrior) and name in (Cause.GPS_SLOW, Cause.GPS_WHITE):
             error = by_axis(prior, (POSITION,), name == Cause.GPS_WHITE)
-            return replace(prior, measured_enu_m=prior.measured_enu_m + error)
+            return replace(prior, measured=prior.measured + error)
         if isinstance(prior, VelocityPrior) and name == Cause.SPEED:
             whole = [drawn(np.linalg.inv(W.T @ W)) for W in prior.whitener]
-            return replace(prior, measured_enu_m=prior.measured_enu_m + np.stack(whole, axis=1))
+            return replace(prior, measured=prior.measured + np.stack(whole, axis=1))
         if isinstance(prior, AttitudePrior) and name == Cause.ATTITUDE_SLOW:
-            R = exp_so3(by_axis(prior, (TILT,), False)) @ prior.R_enu_cam_measured
-            return replace(prior, R_enu_cam_measured=R)
+            R = exp_so3(by_axis(prior, (TILT,), False)) @ prior.measured
+            return replace(prior, measured=R)
         if isinstance(prior, SharedPrior) and name in (Cause.MOUNT, Cause.DELAYS, Cause.SLOPE):
             columns = {
                 Cause.MOUNT: range(*BORESIGHT.indices(3)),

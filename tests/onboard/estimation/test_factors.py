@@ -165,8 +165,8 @@ def test_the_attitude_jacobian_is_tested_where_its_terms_differ() -> None:
     rng = np.random.default_rng(0)
     prior, state = attitude_prior(rng), sampled_state(rng)
     assert isinstance(prior, AttitudePrior)
-    turn = exp_so3(prior.body_rate_cam_rad_s * (state.platform[OFFSET] - prior.offset_s)[:, None])
-    error = log_so3(state.R_cam_enu @ prior.R_enu_cam_measured @ turn @ exp_so3(state.platform[BORESIGHT]))
+    turn = exp_so3(prior.rate * (state.platform[OFFSET] - prior.offset_s)[:, None])
+    error = log_so3(state.R_cam_enu @ prior.measured @ turn @ exp_so3(state.platform[BORESIGHT]))
     assert np.linalg.norm(error, axis=1).min() > 0.1
     assert np.linalg.norm(state.platform[BORESIGHT]) > 0.05
     assert np.abs(state.platform[OFFSET] - prior.offset_s).max() > 0.05

@@ -10,6 +10,7 @@ import pytest
 from contract.feature_set import Status
 from contract.rotations import log_so3
 from onboard.estimation import window_start
+from onboard.estimation.factors import AttitudePrior
 from onboard.estimation.keyframe import turned
 from onboard.estimation.second_start import likelier, other_starts
 from onboard.estimation.window_acceptance import by_itself
@@ -114,7 +115,7 @@ def test_a_refusal_without_attitude_does_not_speak_of_attitude() -> None:
     assert outcome.solved is not None and outcome.weighed is not None
     solved, priors = outcome.solved, outcome.weighed.priors
     kept = np.isfinite(solved.solution.residual_sigmas).astype(float)
-    tight = [replace(p, whitener=100.0 * p.whitener) if hasattr(p, "R_enu_cam_measured") else p for p in priors]
+    tight = [replace(p, whitener=100.0 * p.whitener) if isinstance(p, AttitudePrior) else p for p in priors]
     against = by_itself(SEED_SENSORS, solved.keyframes, None, solved.solution, solved.layout, kept, solved.good, tight)
     assert against is not None and "path" in against and "attitude" not in against
     assert list(other_starts(request, replace(outcome, status=Status.POOR_FIT)))  # and another start is tried

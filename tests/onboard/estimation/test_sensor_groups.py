@@ -12,6 +12,7 @@ from contract.rotations import exp_so3, log_so3
 from onboard.estimation.factors import (
     AttitudePrior,
     Layout,
+    Parts,
     PositionPrior,
     Prior,
     State,
@@ -87,13 +88,13 @@ class Window:
             return whitener_of(factors.get(group, 1.0) * covariance_of(group, n))
 
         still = np.zeros((K, 3))
+        none: Parts = ({}, {}, {})  # no variance is estimated
+        position, velocity = np.stack([whitener(POSITION, K)] * 3), np.stack([whitener(VELOCITY, K - 1)] * 3)
         attitude = np.stack([whitener(g, K) for g in (TILT, TILT, HEADING)])
         return [
-            PositionPrior(LAYOUT, self._errors[POSITION], still, np.stack([whitener(POSITION, K)] * 3), np.zeros(K)),
-            VelocityPrior(
-                LAYOUT, self._errors[VELOCITY], still[1:], np.stack([whitener(VELOCITY, K - 1)] * 3), np.zeros(K - 1)
-            ),
-            AttitudePrior(LAYOUT, exp_so3(self._turned), still, attitude, np.zeros(K)),
+            PositionPrior(LAYOUT, self._errors[POSITION], still, position, np.zeros(K), parts=none),
+            VelocityPrior(LAYOUT, self._errors[VELOCITY], still[1:], velocity, np.zeros(K - 1), parts=none),
+            AttitudePrior(LAYOUT, exp_so3(self._turned), still, attitude, np.zeros(K), parts=none),
         ]
 
     def solve(self, factors: Mapping[str, float]) -> list[Innovation]:
@@ -107,7 +108,7 @@ class Window:
             held[6 * K :] = 1e9  # nothing else is estimated
             covariance = np.linalg.inv(J.T @ J + np.diag(held))
             state = state.retract(-covariance @ (J.T @ r), np.zeros((0, 3)))
-        return innovations(priors, state, covariance, factors, True)
+        return innovations(priors, state, covariance, factors)
 
     @staticmethod
     def _moved(state: State) -> Array:

@@ -175,5 +175,5 @@ def test_what_was_found_is_forgotten_over_minutes() -> None:
 def test_a_prior_without_parts_says_nothing() -> None:
     prior, _ = attitude(np.random.default_rng(0), 9.0, 1.0)
     assert isinstance(prior, AttitudePrior)
-    evidence = evidence_of([replace(prior, parts=None)], STATE, np.zeros((LAYOUT.size,) * 2), VarianceFactors())
+    evidence = evidence_of([replace(prior, parts=())], STATE, np.zeros((LAYOUT.size,) * 2), VarianceFactors())
     assert evidence.found == {} and evidence.expected == {}

@@ -13,7 +13,7 @@ from contract.feature_set import ATTITUDE, NUISANCES, POSITION, DepthSource, Fea
 from contract.geodesy import LocalFrame
 from contract.locate import Locator
 from contract.rotations import R_ENU_NED, exp_so3, matrix_from_euler, mount_rotation
-from onboard.estimation.sensor_pose import SensorPose
+from onboard.estimation.shared_errors import SensorPose
 from onboard.geometry.terrain_grid import Terrain
 from onboard.georeferencing.feature_sets import Origin, Picture
 from onboard.georeferencing.surface_sets import Surface, level_cast, over_surface
