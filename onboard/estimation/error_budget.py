@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from contract.error_sources import Cause
 from onboard.estimation.factors import Prior, RangePrior, SharedPrior
 from onboard.estimation.platform_states import PLANE, present
-from onboard.estimation.sensor_table import HEADING, POSITION, SENSORS, TILT, VELOCITY
+from onboard.estimation.sensor_table import HEADING, POSITION, TILT, VELOCITY
 from onboard.estimation.solved_window import Solved
 
 Array = NDArray[np.float64]
@@ -58,12 +58,11 @@ def _terms(prior: Prior, by_noise: Array) -> Iterator[tuple[Cause, Array]]:
         yield Cause.RANGE if isinstance(prior, RangePrior) else Cause.PATH, by_noise @ by_noise.T
     else:
         n = prior.whitener.shape[1]
-        for axis, (W, parts) in enumerate(zip(prior.whitener, prior.parts, strict=True)):
-            sensor = next(s for s in SENSORS if isinstance(prior, s.residual) and axis in range(3)[s.axes])
+        for axis, (sensor, W, parts) in enumerate(zip(prior.sensors, prior.whitener, prior.parts, strict=True)):
             by_axis = by_noise[:, axis * n : (axis + 1) * n]
             by_part = by_axis @ W
-            slow = by_part @ parts.get(sensor.name, np.zeros((n, n))) @ by_part.T  # none known while the sensor fails
-            yield from zip(CAUSES[sensor.name], (slow, by_axis @ by_axis.T - slow), strict=True)
+            slow = by_part @ parts.get(sensor, np.zeros((n, n))) @ by_part.T  # none known while the sensor fails
+            yield from zip(CAUSES[sensor], (slow, by_axis @ by_axis.T - slow), strict=True)
 
 
 def nearest_root(whitener: Array) -> Array:

@@ -68,7 +68,7 @@ def ground_motion(
     pull = np.zeros((len(covariance), 2, 2))
     for prior in priors:
         if isinstance(prior, PathPrior):
-            J = prior.evaluate(state)[1].reshape(len(prior.whitener), -1, len(covariance))[:2]
-            pull += np.einsum("and,anm,mt->dat", J, prior.whitener[:2], prior.of_places(drift))
+            moved = np.diff(drift, prior.order, axis=0)
+            pull += np.einsum("and,anm,mt->dat", prior.by_axis(state)[1][:2], prior.whitener[:2], moved)
     gain = sigma_m_s * np.einsum("de,eat->tda", covariance, pull)
     return GroundMotion(epoch_ns, gain[0], gain[1])
