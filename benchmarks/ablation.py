@@ -82,8 +82,7 @@ def differences(on: Array, off: Array) -> Array:
 def _judged(f: Array) -> Array:
     """(N, 6) how bad figures (N, 6) are: coverage and sharpness by how far from right, whichever way."""
     off_right = np.abs(np.log2(np.maximum(f[:, 4], 1e-3)))
-    out: Array = np.stack([-f[:, 0], f[:, 1], f[:, 2], np.abs(f[:, 3] - 0.9), off_right, f[:, 5]], axis=1)
-    return out
+    return np.stack([-f[:, 0], f[:, 1], f[:, 2], np.abs(f[:, 3] - 0.9), off_right, f[:, 5]], axis=1)
 
 
 def change(name: str, on: Array, off: Array) -> tuple[list[str], list[str]]:

@@ -113,8 +113,7 @@ class Valley(Ground):
         """Heights of places (..., 2); the valley's floor is rounded over a hundred metres."""
         rise = xy @ self.slope
         rounded_m = 50.0 * float(np.hypot(*self.slope))
-        out: Array = super().height_m(xy) - rise + np.hypot(rise, rounded_m) - rounded_m
-        return out
+        return super().height_m(xy) - rise + np.hypot(rise, rounded_m) - rounded_m
 
 
 class SampledFlight:

@@ -203,8 +203,7 @@ def compare(looked: Sequence[tuple[int, tuple[Spot, ...]]], spec: SessionSpec, t
 def enu(spot: Spot, truth: Truth) -> Array:
     """East and north (2,) of a spot."""
     assert spot.place is not None
-    at: Array = truth.origin.to_enu(spot.place.lat_deg, spot.place.lon_deg, truth.origin.height_m)[:2]
-    return at
+    return truth.origin.to_enu(spot.place.lat_deg, spot.place.lon_deg, truth.origin.height_m)[:2]
 
 
 def in_ellipses(spot: Spot, off: Array) -> float:

@@ -61,8 +61,7 @@ class Ellipse:
         """(2, 2) east, north, never quite singular: a millimetre is added along each axis."""
         axes = self.axes_en
         variances_m2 = np.array([self.semi_major_m, self.semi_minor_m]) ** 2 / CHI2_2
-        out: Array = axes.T @ np.diag(variances_m2) @ axes + 1e-6 * np.eye(2)
-        return out
+        return axes.T @ np.diag(variances_m2) @ axes + 1e-6 * np.eye(2)
 
     @property
     def axes_en(self) -> Array:

@@ -233,8 +233,7 @@ class Camera:
         """Whether pixels (..., 2) are inside the picture, its half-pixel border included."""
         uv = np.asarray(uv_px, float)
         u, v = uv[..., 0], uv[..., 1]
-        inside: Mask = (u >= -0.5) & (v >= -0.5) & (u <= self.width_px - 0.5) & (v <= self.height_px - 0.5)
-        return inside
+        return (u >= -0.5) & (v >= -0.5) & (u <= self.width_px - 0.5) & (v <= self.height_px - 0.5)
 
     def unproject(self, uv_px: ArrayLike, near: Array | None = None) -> tuple[Array, Mask]:
         """Pixels (..., 2) -> rays (x, y, 1), (..., 3), and validity. Newton on (2.1) with (2.2); see (2.4).

@@ -77,8 +77,7 @@ def metres_per_degree(lat_deg: ArrayLike) -> tuple[Array, Array]:
 
 def level_ground_m(east_m: ArrayLike, north_m: ArrayLike) -> Array:
     """Height of level ground above the plane that touches it at the origin, of places (...) within some kilometres."""
-    out: Array = -(np.square(east_m) + np.square(north_m)) / (2.0 * EARTH_RADIUS_M)
-    return out
+    return -(np.square(east_m) + np.square(north_m)) / (2.0 * EARTH_RADIUS_M)
 
 
 def rotation_enu_ecef(lat_deg: float, lon_deg: float) -> Array:

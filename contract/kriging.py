@@ -190,8 +190,7 @@ def _inverse_of_lower(factor: Array) -> Array:
 def on_plane(xy: Array, plane: Array) -> Array:
     """Where rays (N, 2) meet the plane w = a + b x + c y, in units of the camera's height above it: (N, 3). (9.20)"""
     H = np.concatenate([np.ones((len(xy), 1)), xy], axis=1)
-    out: Array = H / _below_horizon(xy, plane)[:, None]
-    return out
+    return H / _below_horizon(xy, plane)[:, None]
 
 
 def stretch(xy: Array, plane: Array) -> float:

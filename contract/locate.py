@@ -163,8 +163,7 @@ class Locator:
         if isinstance(one, Status) or isinstance(two, Status):
             return None
         joint = self._covariance([one, two])
-        out: Array = joint[:3, :3] + joint[3:, 3:] - joint[:3, 3:] - joint[3:, :3]
-        return out
+        return joint[:3, :3] + joint[3:, 3:] - joint[:3, 3:] - joint[3:, :3]
 
     def error_parts(self, uv_px: ArrayLike) -> ErrorParts | None:
         """The parts of a click's error that are its own; None if it has no answer."""

@@ -27,8 +27,7 @@ _UNSKEW: Array = 0.5 * _SKEW.T
 def skew(v: ArrayLike) -> Array:
     """(..., 3) -> (..., 3, 3) with skew(v) @ w = v x w."""
     v = np.asarray(v, float)
-    out: Array = (v @ _SKEW).reshape(*v.shape[:-1], 3, 3)
-    return out
+    return (v @ _SKEW).reshape(*v.shape[:-1], 3, 3)
 
 
 def exp_so3(v: ArrayLike) -> Array:
@@ -104,8 +103,7 @@ def _log_by_quaternion(R: Array) -> Array:
     norm = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
     small = norm < 1e-9
     scale = np.where(small, 2.0, 2.0 * np.arctan2(norm, q[..., :1]) / np.where(small, 1.0, norm))
-    out: Array = scale * q[..., 1:]
-    return out
+    return scale * q[..., 1:]
 
 
 def log_of_one(rows: list[list[float]]) -> list[float]:
@@ -141,8 +139,7 @@ def right_jacobian_inverse(v: ArrayLike) -> Array:
     exact = 1.0 / angle**2 - (1.0 + np.cos(angle)) / (2.0 * angle * np.sin(angle))
     c = np.where(small, 1.0 / 12.0 + angle2 / 720.0, exact)
     k = skew(v)
-    out: Array = _IDENTITY + 0.5 * k + c * (k @ k)
-    return out
+    return _IDENTITY + 0.5 * k + c * (k @ k)
 
 
 def quaternion_from_matrix(R: ArrayLike) -> Array:

@@ -20,11 +20,9 @@ class ThermalScale:
 
     def kelvin(self, counts: ArrayLike) -> NDArray[np.float32]:
         """Apparent temperatures, K, of counts of any shape."""
-        out: NDArray[np.float32] = np.asarray(counts, np.float32) * np.float32(self.scale) + np.float32(self.offset)
-        return out
+        return np.asarray(counts, np.float32) * np.float32(self.scale) + np.float32(self.offset)
 
     def counts(self, kelvin: ArrayLike) -> NDArray[np.uint16]:
         """The nearest counts, 0 to 65535, of apparent temperatures, K, of any shape."""
         counts = np.rint((np.asarray(kelvin, np.float64) - self.offset) / self.scale)
-        out: NDArray[np.uint16] = np.clip(counts, 0, 65535).astype(np.uint16)
-        return out
+        return np.clip(counts, 0, 65535).astype(np.uint16)

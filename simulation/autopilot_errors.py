@@ -78,13 +78,11 @@ class ErringFilter:
         start, end = self._trajectory.start_s, self._trajectory.end_s
         before, after = (np.clip(time_s + h, start, end) for h in (-ACCELERATION_STEP_S, ACCELERATION_STEP_S))
         gained = self._trajectory.velocity_enu_m_s(after) - self._trajectory.velocity_enu_m_s(before)
-        out: Array = gained / (after - before)[:, None]
-        return out
+        return gained / (after - before)[:, None]
 
     def position_m(self, time_s: Array) -> Array:
         """What the filter's position is off by (N, 3), ENU."""
-        out: Array = self._followed(time_s)[0] - self._errors.position_lag_s * self._trajectory.velocity_enu_m_s(time_s)
-        return out
+        return self._followed(time_s)[0] - self._errors.position_lag_s * self._trajectory.velocity_enu_m_s(time_s)
 
     def velocity_m_s(self, time_s: Array) -> Array:
         """What the filter's velocity is off by (N, 3), ENU."""
@@ -113,8 +111,7 @@ class ErringFilter:
         heading = e.heading_deg + nose @ [e.heading_cos_deg, e.heading_sin_deg]
         heading = heading + e.heading_drift_deg * self._drift(time_s)[:, 0]
         turn = exp_so3(np.radians(heading)[:, None] * [0.0, 0.0, 1.0])
-        out: Array = turn @ R_ned_body @ exp_so3(np.radians(tilt))
-        return out
+        return turn @ R_ned_body @ exp_so3(np.radians(tilt))
 
     def _followed(self, time_s: Array) -> tuple[Array, Array]:
         """Of the glitch: how far the filter has followed (N, 3), and how fast it does."""

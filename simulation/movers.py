@@ -59,8 +59,7 @@ class MoverSpec:
 
     def course_rad(self, time_s: ArrayLike) -> Array:
         """Where it heads (...,), clockwise from north."""
-        out: Array = np.radians(self.course_deg + self.turn_deg_s * self._gone_s(time_s))
-        return out
+        return np.radians(self.course_deg + self.turn_deg_s * self._gone_s(time_s))
 
     def place_m(self, time_s: ArrayLike) -> Array:
         """East, north (..., 2), seconds after the first picture."""
@@ -70,15 +69,13 @@ class MoverSpec:
         else:
             now = course + turn * gone
             along = np.stack([np.cos(course) - np.cos(now), np.sin(now) - np.sin(course)], axis=-1) / turn
-        out: Array = np.asarray(self.start_m) + self.speed_m_s * along
-        return out
+        return np.asarray(self.start_m) + self.speed_m_s * along
 
     def velocity_m_s(self, time_s: ArrayLike) -> Array:
         """East, north (..., 2)."""
         time, course = np.asarray(time_s, float), self.course_rad(time_s)
         speed = np.where((time >= self.from_s) & (time < self.until_s), self.speed_m_s, 0.0)
-        out: Array = np.stack([speed * np.sin(course), speed * np.cos(course)], axis=-1)
-        return out
+        return np.stack([speed * np.sin(course), speed * np.cos(course)], axis=-1)
 
     def _gone_s(self, time_s: ArrayLike) -> Array:
         """For how long it has moved since the first picture; negative before."""

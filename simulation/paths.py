@@ -110,8 +110,7 @@ def _turn_rate(spec: PathSpec, time: Array) -> Array:
     rate = min(fastest, 2.0 * spec.speed_m_s / spec.spacing_m) if spec.kind == "survey" else fastest
     leg_s, turn_s = spec.leg_m / spec.speed_m_s, turn_rad / rate
     cycle, within = np.divmod(time - time[0], leg_s + turn_s)
-    out: Array = np.where(within < leg_s, 0.0, np.where(cycle % 2 == 0, rate, -rate))
-    return out
+    return np.where(within < leg_s, 0.0, np.where(cycle % 2 == 0, rate, -rate))
 
 
 def _steer(spec: PathSpec, steps: int, fastest: float) -> Array:

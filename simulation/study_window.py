@@ -311,5 +311,4 @@ def bound(flight: Flight) -> Solution:
 def point_covariance(solution: Solution) -> Array:
     """Marginal covariances (P, 3, 3) of the points, m^2."""
     Y = solution.point_gain
-    out: Array = solution.point_covariance + Y @ solution.covariance @ Y.transpose(0, 2, 1)
-    return out
+    return solution.point_covariance + Y @ solution.covariance @ Y.transpose(0, 2, 1)

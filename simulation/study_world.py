@@ -50,8 +50,7 @@ def nominal() -> Array:
 
 def turned(R_cam_enu: Array, axis: str, angle_rad: float) -> Array:
     """The camera turned by `angle_rad` about its own z (heading), y (pitch) or x (roll)."""
-    out: Array = exp_so3(-angle_rad * AXES[axis]) @ R_cam_enu
-    return out
+    return exp_so3(-angle_rad * AXES[axis]) @ R_cam_enu
 
 
 def grid() -> Array:
@@ -72,8 +71,7 @@ def project(R_cam_enu: Array, centres_enu_m: Array, points_enu_m: Array) -> tupl
 
 def unit_depth(uv_px: Array) -> Array:
     """Pixels (..., 2) -> normalised image coordinates (..., 2) of the study's ideal camera."""
-    out: Array = (uv_px - [CAMERA.cx_px, CAMERA.cy_px]) / [CAMERA.fx_px, CAMERA.fy_px]
-    return out
+    return (uv_px - [CAMERA.cx_px, CAMERA.cy_px]) / [CAMERA.fx_px, CAMERA.fy_px]
 
 
 def two_views(first: tuple[str, float] | None = None, second: tuple[str, float] | None = None) -> Scene:

@@ -78,8 +78,7 @@ def write_tlog(
 
     def instants(rate_hz: float) -> Array:
         # The autopilot stamps in whole milliseconds, and those are the instants its messages are for.
-        out: Array = np.round(np.arange(start, end, 1.0 / rate_hz) if rate_hz > 0 else np.zeros(0), 3)
-        return out
+        return np.round(np.arange(start, end, 1.0 / rate_hz) if rate_hz > 0 else np.zeros(0), 3)
 
     def positions(time: Array, age_s: float, off_m: Array) -> Array:
         seen = np.clip(time - age_s, start, end)

@@ -120,8 +120,7 @@ class Terrain:
             profile = np.clip(inside / EDGE_M, 0.0, 1.0)
         else:
             profile = np.clip(1.0 - (dx**2 + dy**2) / cell[..., 2] ** 2, 0.0, 1.0)
-        out: Array = cell[..., 4] * profile
-        return out
+        return cell[..., 4] * profile
 
     def slope(self, x_m: ArrayLike, y_m: ArrayLike) -> Array:
         """Gradient dz/dx, dz/dy of the hills (obstacles left out), shape (..., 2)."""
@@ -176,8 +175,7 @@ class Terrain:
 
         def above(s: Array, which: NDArray[np.int64]) -> Array:
             p = centre + s[:, None] * rays[which]
-            out: Array = p[:, 2] - self.height_m(p[:, 0], p[:, 1])
-            return out
+            return p[:, 2] - self.height_m(p[:, 0], p[:, 1])
 
         # A third of the narrowest obstacle, a twelfth of a hill: what a step misses is only a corner that the ray
         # barely touches.

@@ -24,14 +24,12 @@ LOWEST: Mask = np.arange(SHORT)[None, :] >= SHORT - np.arange(SHORT + 1)[:, None
 
 def zigzag(signed: Ints) -> Ints:
     """0, -1, 1, -2, ... -> 0, 1, 2, 3, ..."""
-    out: Ints = (signed << 1) ^ (signed >> 63)
-    return out
+    return (signed << 1) ^ (signed >> 63)
 
 
 def unzigzag(unsigned: Ints) -> Ints:
     """Inverse of `zigzag`."""
-    out: Ints = (unsigned >> 1) ^ -(unsigned & 1)
-    return out
+    return (unsigned >> 1) ^ -(unsigned & 1)
 
 
 def rice_parameter(total: int, count: int) -> int:
@@ -91,8 +89,7 @@ def windows(payload: bytes, position: int, first: int, ks: Ints) -> Ints:
     starts = ends - ks
     words = every.take(starts >> 3).astype(np.uint64)
     words <<= (starts & 7).view(np.uint64)
-    out: Ints = (words >> (64 - ks).view(np.uint64)).view(np.int64)
-    return out
+    return (words >> (64 - ks).view(np.uint64)).view(np.int64)
 
 
 def with_unary(fixed: list[Bits], quotients: Ints) -> bytes:

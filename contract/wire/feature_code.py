@@ -120,8 +120,7 @@ def _cells(camera: Camera, uv_px: Array) -> tuple[Ints, Array]:
 
 
 def _sigmas(smallest: float, levels: NDArray[Any]) -> Array:
-    out: Array = smallest * np.exp(SIGMA_UNIT * SIGMA_STEPS * levels)
-    return out
+    return smallest * np.exp(SIGMA_UNIT * SIGMA_STEPS * levels)
 
 
 def _plane_inverse_depth(camera: Camera, plane_per_m: list[float], uv_px: Array) -> Array:

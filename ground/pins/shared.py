@@ -120,5 +120,4 @@ def _rest(click: PinClick) -> Array:
     assert e is not None and click.covariance_enu_m2 is not None
     J = position_jacobian(e, e.offset_enu_m)
     own = e.between_features**2 + e.feature_noise**2
-    rest: Array = click.covariance_enu_m2 - J @ e.common_cov @ J.T - own * np.outer(e.offset_enu_m, e.offset_enu_m)
-    return rest
+    return click.covariance_enu_m2 - J @ e.common_cov @ J.T - own * np.outer(e.offset_enu_m, e.offset_enu_m)

@@ -121,8 +121,7 @@ def condition(
 def _left(C: Array, cross: Array, V: Array, gain: Array) -> Array:
     """Covariance of what is left when `gain` times the ties' measured errors is subtracted."""
     off = gain @ cross
-    out: Array = C - off - off.T + gain @ V @ gain.T
-    return out
+    return C - off - off.T + gain @ V @ gain.T
 
 
 def _difference(tie: Tie) -> Array:

@@ -191,8 +191,7 @@ def _is_seen(uv_px: Array, s: FeatureSet, sizes_px: Array) -> Mask:
         low, high = uv_px[:, k] + 0.5, size - 0.5 - uv_px[:, k]
         is_whole &= np.minimum(low, high) >= half
         certainty *= np.maximum(_normal(low / sigma) + _normal(high / sigma) - 1.0, 0.0)
-    out: Mask = is_whole & (certainty >= CERTAINTY)
-    return out
+    return is_whole & (certainty >= CERTAINTY)
 
 
 def _normal(x: Array) -> Array:
@@ -216,8 +215,7 @@ def _inverse(matrix: Array) -> Array:
     (a, b), (c, d) = matrix[:, 0].T, matrix[:, 1].T
     det = a * d - b * c
     flat = np.stack([d, -b, -c, a], axis=-1) / np.where(np.abs(det) > 1e-12, det, np.nan)[:, None]
-    out: Array = flat.reshape(-1, 2, 2)
-    return out
+    return flat.reshape(-1, 2, 2)
 
 
 def _between(fields: Array, uv_px: Array, s: FeatureSet) -> Array:

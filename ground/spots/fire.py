@@ -248,8 +248,7 @@ def _edge(mask: Mask) -> Mask:
     """The marked cells that touch an unmarked one."""
     padded = np.pad(mask, 1)
     inner = padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
-    out: Mask = mask & ~inner
-    return out
+    return mask & ~inner
 
 
 def _smoothed(ring: Array) -> Array:

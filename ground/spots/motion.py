@@ -109,8 +109,7 @@ class Motion:
     @property
     def place_m(self) -> Array:
         """(2,) at its newest sighting."""
-        out: Array = self._state[:2]
-        return out
+        return self._state[:2]
 
     @property
     def covariance_m2(self) -> Array:
@@ -121,8 +120,7 @@ class Motion:
     @property
     def velocity_m_s(self) -> Array:
         """(2,) east, north."""
-        out: Array = self._state[2:4]
-        return out
+        return self._state[2:4]
 
     @property
     def velocity_covariance(self) -> Array:

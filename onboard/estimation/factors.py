@@ -189,14 +189,12 @@ def gauss_markov_sqrt_information(
 def gauss_markov_covariance(stamps_s: Array, sigma: float | Array, time_constant_s: float) -> Array:
     """Covariance (K, K) of a first-order Gauss-Markov error at `stamps_s` (K,); (A, K, K) if `sigma` is (A, 1, 1)."""
     lag = np.abs(stamps_s[:, None] - stamps_s[None, :])
-    out: Array = sigma**2 * np.exp(-lag / time_constant_s)
-    return out
+    return sigma**2 * np.exp(-lag / time_constant_s)
 
 
 def whitener_of(covariance: Array) -> Array:
     """The lower-triangular matrices (..., K, K) that whiten errors of these covariances."""
-    inverse: Array = np.linalg.inv(np.linalg.cholesky(covariance))
-    return inverse
+    return np.linalg.inv(np.linalg.cholesky(covariance))
 
 
 def persistent_sigma(stamps_s: Array, sigma_gauss_markov: Array, time_constant_s: float) -> Array:
@@ -249,8 +247,7 @@ class PathPrior(SensorPrior):
     @cached_property
     def _by_place(self) -> Array:
         """(3, n, K) of whitened rows, by each place's own axis."""
-        out: Array = self.whitener @ np.diff(np.eye(self.layout.keyframes), self.order, axis=0)
-        return out
+        return self.whitener @ np.diff(np.eye(self.layout.keyframes), self.order, axis=0)
 
     @cached_property
     def _jacobian(self) -> Array:

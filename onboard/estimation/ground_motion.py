@@ -40,8 +40,7 @@ class GroundMotion:
     def covariance(self, stamp_ns: int) -> Array:
         """What the ground's motion adds to the camera side's covariance (D, D) for a picture of that time. (6.10)"""
         gain = self.at_epoch + self.per_s * ((stamp_ns - self.epoch_ns) / 1e9)
-        out: Array = gain @ gain.T
-        return out
+        return gain @ gain.T
 
 
 def ground_sigma_m_s(keyframes: Sequence[Keyframe], depth_m: float) -> float:

@@ -54,8 +54,7 @@ def by_attitude(nav: NavState, platform: PlatformEstimate, R_body_cam: Array) ->
         return None
     yaw = float(cosine_sine_of_heading(nav.R_enu_body) @ platform.mean[HEADING])
     R_enu_body = exp_so3(np.array([0.0, 0.0, -yaw])) @ nav.R_enu_body
-    out: Array = (R_enu_body @ R_body_cam @ exp_so3(platform.mean[BORESIGHT])).T
-    return out
+    return (R_enu_body @ R_body_cam @ exp_so3(platform.mean[BORESIGHT])).T
 
 
 def by_sensors(request: Request) -> Array | None:

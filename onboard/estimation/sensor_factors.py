@@ -107,14 +107,12 @@ class Sensors:
         course_rad = np.arctan2(across, east[:-1] * east[1:] + north[:-1] * north[1:])
         yaw_rad = 0.5 * (yaw_rates_rad_s[1:] + yaw_rates_rad_s[:-1]) * seconds
         turned_rad = np.minimum(*(np.abs(self._are_about @ angle_rad) for angle_rad in (course_rad, yaw_rad)))
-        out: Array = self.config.gps.sigma_latency_s * turned_rad / np.maximum(self._are_about @ seconds, 0.05)
-        return out
+        return self.config.gps.sigma_latency_s * turned_rad / np.maximum(self._are_about @ seconds, 0.05)
 
     @cached_property
     def _are_about(self) -> NDArray[np.bool_]:
         """Which intervals between keyframes a filter has not forgotten at one's time, or soon begins: (K, K - 1)."""
-        out: NDArray[np.bool_] = np.abs(self.stamps_s[1:] - self.stamps_s[:, None]) <= DYNAMIC_TIME_S
-        return out
+        return np.abs(self.stamps_s[1:] - self.stamps_s[:, None]) <= DYNAMIC_TIME_S
 
     def errors(
         self, sensors: Iterable[str], slow: Iterable[Array], white: Iterable[Array], fixed: Iterable[Array]
@@ -147,14 +145,12 @@ def _velocities(keyframes: Sequence[Keyframe]) -> Array:
 
 def _fading(stamps_s: Array, sigma: Array) -> Array:
     """Covariance (N, N) of errors of one sigma each (N,), which a filter forgets. (5.16), (5.23)"""
-    out: Array = np.outer(sigma, sigma) * gauss_markov_covariance(stamps_s, 1.0, DYNAMIC_TIME_S)
-    return out
+    return np.outer(sigma, sigma) * gauss_markov_covariance(stamps_s, 1.0, DYNAMIC_TIME_S)
 
 
 def _independent(variance: Array) -> Array:
     """Covariances (3, N, N) of independent errors with these variances (N, 3)."""
-    out: Array = variance.T[:, :, None] * np.eye(len(variance))
-    return out
+    return variance.T[:, :, None] * np.eye(len(variance))
 
 
 def _position(m: Sensors) -> PositionPrior:
@@ -325,8 +321,7 @@ def coordinated_turn(R_body_cam: Array, keyframes: Sequence[Keyframe]) -> Array 
     ahead = velocities - np.sum(velocities * down, axis=1, keepdims=True) * down
     ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
     R_enu_body = np.stack([ahead, np.cross(down, ahead), down], axis=-1)
-    out: Array = R_enu_body @ R_body_cam
-    return out
+    return R_enu_body @ R_body_cam
 
 
 def with_delays_held_open(config: Config, platform: PlatformEstimate) -> PlatformEstimate:

@@ -77,8 +77,7 @@ class SensorPose:
     @property
     def covariance(self) -> Array:
         """(7, 7) of everything."""
-        out: Array = self.white + self.shared.by_nuisance @ self.shared.by_nuisance.T
-        return out
+        return self.white + self.shared.by_nuisance @ self.shared.by_nuisance.T
 
     def over_ground(self, sigma_m: float) -> SensorPose:
         """The same over a ground whose height as a whole is known to one sigma."""

@@ -46,8 +46,7 @@ class Solved:
 
     def covariance_at(self, stamp_ns: int) -> Array:
         """Of the camera side (D, D), for a picture of that time. (6.10)"""
-        out: Array = self.solution.covariance + self.ground_motion.covariance(stamp_ns)
-        return out
+        return self.solution.covariance + self.ground_motion.covariance(stamp_ns)
 
     def rows(self, ids: Ids) -> tuple[NDArray[np.intp], Mask]:
         """Row of each id among the points, and whether it is there and good."""

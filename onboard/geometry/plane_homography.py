@@ -78,8 +78,7 @@ def pixel_grid(size_px: tuple[int, int], counts: tuple[int, int]) -> Array:
 def move(H: Array, uv_px: Array) -> Array:
     """Apply a homography (3, 3) to pixels (N, 2)."""
     p = uv_px @ H[:, :2].T + H[:, 2]
-    out: Array = p[:, :2] / p[:, 2:]
-    return out
+    return p[:, :2] / p[:, 2:]
 
 
 class HomographyFit:

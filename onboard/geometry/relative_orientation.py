@@ -39,8 +39,7 @@ def travel_aligned(travel_enu: Array, R_body_cam: Array) -> Array:
     course = float(np.arctan2(travel_enu[0], travel_enu[1]))
     climb = float(np.arctan2(travel_enu[2], np.hypot(travel_enu[0], travel_enu[1])))
     R_enu_body = R_ENU_NED @ matrix_from_euler(0.0, climb, course)
-    out: Array = (R_enu_body @ R_body_cam).T
-    return out
+    return (R_enu_body @ R_body_cam).T
 
 
 def epipolar_error(rays1: Array, rays2: Array, Q: Array, t_cam1: Array) -> Array:
@@ -66,8 +65,7 @@ def small_angle(rays1: Array, rays2: Array, Q: Array, t_cam1: Array, weight: Arr
     rows, right = _small_angle_rows(rays1, rays2, Q, t_cam1)
     w = np.ones(len(rows)) if weight is None else weight
     N = rows.T @ (rows * w[:, None])
-    theta: Array = np.linalg.solve(N + 1e-12 * np.trace(N) * np.eye(3), rows.T @ (w * right))
-    return theta
+    return np.linalg.solve(N + 1e-12 * np.trace(N) * np.eye(3), rows.T @ (w * right))
 
 
 def _small_angle_rows(rays1: Array, rays2: Array, Q: Array, t_cam1: Array) -> tuple[Array, Array]:
@@ -224,8 +222,7 @@ def _ground_normal(rays1: Array, rays2: Array, Q: Array, t_cam1: Array, nominal_
     length = float(np.linalg.norm(normal))
     if length < 1e-9:
         return nominal_down_cam
-    out: Array = normal / length
-    return out
+    return normal / length
 
 
 def _five_point(rays1: Array, rays2: Array, length: float, tolerance_rad: float) -> list[tuple[Array, Array]]:

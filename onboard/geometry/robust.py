@@ -37,8 +37,7 @@ def robust_cost(squared: Array, scale: float | None) -> tuple[Array, Array]:
 
 def cauchy_weight(residual: Array, scale: float) -> Array:
     """The weight of (6.5) for residuals of any sign, in their own units."""
-    out: Array = 1.0 / (1.0 + (residual / scale) ** 2)
-    return out
+    return 1.0 / (1.0 + (residual / scale) ** 2)
 
 
 def irls(

@@ -85,5 +85,4 @@ class Terrain:
     def _clearance(self, centre_enu_m: Array, rays_enu: Array, depth: Array) -> Array:
         at = centre_enu_m + rays_enu[:, None, :] * depth[..., None]
         height, _ = self.height_and_slope(at.reshape(-1, 3)[:, :2])
-        out: Array = at[..., 2] - height.reshape(depth.shape)
-        return out
+        return at[..., 2] - height.reshape(depth.shape)

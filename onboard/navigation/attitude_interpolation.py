@@ -50,8 +50,7 @@ class Attitudes(Series[Orientation]):
             if a.rate_body_rad_s is not None and rate_end is not None:
                 turned = s * s * (3 - 2 * s) * turn
                 turned += self.seconds(left, right) * s * (1 - s) * ((1 - s) * a.rate_body_rad_s - s * rate_end)
-        out: Array = a.R_ned_body @ exp_so3(turned)
-        return out
+        return a.R_ned_body @ exp_so3(turned)
 
     def sigma_at(self, moment_ns: int) -> float:
         """One sigma (rad) of what `at` may be off by because attitudes come more slowly than the vehicle turns. (1.7)
@@ -74,8 +73,7 @@ class Attitudes(Series[Orientation]):
 
     def _mean_rate(self, left: int, right: int) -> Array:
         """(3,) rad/s between two attitudes."""
-        out: Array = log_so3(self.values[left].R_ned_body.T @ self.values[right].R_ned_body) / self.seconds(left, right)
-        return out
+        return log_so3(self.values[left].R_ned_body.T @ self.values[right].R_ned_body) / self.seconds(left, right)
 
     def rate_sigma_at(self, moment_ns: int, jitter_s: float) -> float | None:
         """One sigma (rad/s, of each axis) of what a rate joined from measured ones may be off by, (1.8); None where

@@ -73,8 +73,7 @@ class Gimbal:
             return R_ned_ref
         if hypothesis is MountHypothesis.GIMBAL:
             R_ned_ref = matrix_from_euler(0.0, 0.0, np.arctan2(R_ned_ref[1, 0], R_ned_ref[0, 0]))
-        out: Array = R_ned_ref @ R_ref_gimbal @ self._R_body_gimbal.T
-        return out
+        return R_ned_ref @ R_ref_gimbal @ self._R_body_gimbal.T
 
     def open_at(self, moment_ns: int) -> dict[MountHypothesis, Array]:
         """`at` by every hypothesis while the pictures must determine which is true, the mount first; else nothing."""
@@ -91,5 +90,4 @@ class Gimbal:
         before, after = (self.at(moment_ns + side * RATE_WINDOW_NS // 2, hypothesis) for side in (-1, 1))
         if isinstance(before, Status) or isinstance(after, Status):
             return None
-        out: Array = log_so3(before.T @ after) / (RATE_WINDOW_NS / 1e9)
-        return out
+        return log_so3(before.T @ after) / (RATE_WINDOW_NS / 1e9)

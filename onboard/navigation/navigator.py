@@ -317,8 +317,7 @@ class Navigation:
         """North-east-down at a place -> the frame's east-north-up."""
         assert self.frame is not None
         lat, lon, _ = self.frame.to_geodetic(position_enu_m)
-        out: Array = self.frame.R_enu_ecef @ rotation_enu_ecef(float(lat), float(lon)).T @ R_ENU_NED
-        return out
+        return self.frame.R_enu_ecef @ rotation_enu_ecef(float(lat), float(lon)).T @ R_ENU_NED
 
     def body_rate_at(self, stamp_ns: int) -> Array | None:
         """Angular rate (3,), rad/s, axes of `NavState.R_enu_body`: measured, or from attitudes; None if unknown."""

@@ -83,8 +83,7 @@ def _slip_by_latency(positions: Series[Position], moments_ns: Times) -> Array:
     steps = np.diff(np.array([v for _, v in known]), axis=0)
     ago = (moments_ns[:, None] - stepped_ns) / (1e9 * DYNAMIC_TIME_S)
     answer = np.where(ago >= 0.0, (1.0 - ago) * np.exp(-np.maximum(ago, 0.0)), 0.0)
-    out: Array = -2.0 / DYNAMIC_TIME_S * answer @ steps
-    return out
+    return -2.0 / DYNAMIC_TIME_S * answer @ steps
 
 
 def _integrated(velocities: Array, seconds: Array) -> Array:

@@ -149,8 +149,7 @@ Views = list[tuple[Array, Array, Array]]
 
 def own_covariance(one: Sighting) -> Array:
     """Of what a picture adds by itself, (2, 2)."""
-    out: Array = one.own_share * one.covariance + LEAST_OWN_M**2 * np.eye(2)
-    return out
+    return one.own_share * one.covariance + LEAST_OWN_M**2 * np.eye(2)
 
 
 def slow_covariance(one: Sighting) -> Array:

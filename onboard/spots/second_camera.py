@@ -78,8 +78,7 @@ class Pointing:
         by_state = self.by_state(uv_px)
         values, vectors = np.linalg.eigh(self.covariance)
         by_mount = by_state @ (vectors * np.sqrt(np.maximum(values, 0.0)))
-        out: Array = np.hstack([by_mount, by_state[:, :3] * self.turn_sigma_rad])
-        return out
+        return np.hstack([by_mount, by_state[:, :3] * self.turn_sigma_rad])
 
     def _lens(self, xy: Array) -> Array:
         """d pixel / d image coordinates, (2, 2)."""

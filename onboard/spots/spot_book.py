@@ -97,8 +97,7 @@ class SpotBook:
 
     def _en_m(self, lat_deg: float, lon_deg: float) -> Array:
         assert self._origin is not None
-        out: Array = self._origin.to_enu(lat_deg, lon_deg, 0.0)[:2]
-        return out
+        return self._origin.to_enu(lat_deg, lon_deg, 0.0)[:2]
 
     def _placed(self, region: Region, locator: Locator | None, status: Status, pointing: Pointing | None) -> Placed:
         u, v = (float(c) for c in region.uv_px)

@@ -71,8 +71,7 @@ class _Topic:
         for index, name in enumerate(names):
             if name in self._columns:
                 scale = scales[index] if scales else 1.0
-                out: Array = self._columns[name].astype(float) * scale
-                return out
+                return self._columns[name].astype(float) * scale
         return np.full(len(self), unknown)
 
     def columns(self, *names: str) -> Array:

@@ -68,8 +68,7 @@ def difference(pictures: Pictures, seen: Seen, patch: Patch) -> Image | None:
     noise = max(1.48 * float(np.partition(off, off.size // 2, axis=None)[off.size // 2]), LEAST_NOISE)
     dx, dy = cv2.Sobel(behind, cv2.CV_32F, 1, 0, scale=0.125), cv2.Sobel(behind, cv2.CV_32F, 0, 1, scale=0.125)
     sigma = np.sqrt(noise * noise + MISFIT_PX**2 * (dx * dx + dy * dy))
-    out: Image = np.clip((off / sigma - CLEAR) / (CERTAIN - CLEAR), 0.0, 1.0)
-    return out
+    return np.clip((off / sigma - CLEAR) / (CERTAIN - CLEAR), 0.0, 1.0)
 
 
 def _aligned(pictures: Pictures, seen: Seen, patch: Patch) -> Image:

@@ -114,8 +114,7 @@ class PlaneFilter:
 
     def ahead(self, dt: float) -> Array:
         """Covariance (2, 2), m^2, of how far the thing will be from where its velocity takes it in `dt` seconds."""
-        out: Array = self.motion.cov * dt**2 + float(self._weights() @ self._q) * dt**3 / 3.0 * np.eye(2)
-        return out
+        return self.motion.cov * dt**2 + float(self._weights() @ self._q) * dt**3 / 3.0 * np.eye(2)
 
     def _weights(self) -> Array:
         weights: Array = np.exp(self._log_weight - self._log_weight.max())

@@ -274,8 +274,7 @@ class Tracker:
             return start
         shift = np.eye(3)
         shift[:2, 2] = dx * self.width_px / columns, dy * self.height_px / rows
-        out: Array = start @ shift
-        return out
+        return start @ shift
 
     def _follow(self, motion: Array, levels: int) -> Tracks:
         """LK from the keyframe into the current picture around a known whole-picture motion, then verification."""

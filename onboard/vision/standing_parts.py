@@ -72,8 +72,7 @@ class Texture:
         """The picture beyond its mean about each cell, over its spread there."""
         size = self.small.shape[1], self.small.shape[0]
         mean, spread = (cv2.resize(g, size) for g in (self.mean, np.sqrt(self.variance + FLOOR * FLOOR)))
-        out: Grid = (self.small - mean) / spread
-        return out
+        return (self.small - mean) / spread
 
     def likeness(self, other: Texture) -> Grid:
         """Correlation with another about each cell; with FLOOR in its denominator, near 0 without texture."""
