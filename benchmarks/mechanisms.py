@@ -19,7 +19,6 @@ from onboard.estimation import (
     camera_states,
     ground_roughness,
     ground_slope,
-    ground_weight,
     moved_optics,
     row_waves,
     variance_components,
@@ -125,7 +124,7 @@ MECHANISMS = (
         ((ground_roughness, "_roughness", _one_range),),
     ),
     Mechanism(
-        "ground weight", "points are held to the ground as configured", ((ground_weight, "correlated", _declared),)
+        "ground weight", "points are held to the ground as configured", ((ground_roughness, "correlated", _declared),)
     ),
     Mechanism("second start", "every window is solved from one start", ((window_solver, "other_starts", gives(())),)),
     Mechanism(

@@ -112,11 +112,11 @@ def draw(setting: Setting, rng: np.random.Generator) -> Flight:
     reference = np.array([*(TRAVEL_ENU[:2] * setting.spacing_m * (K - 1) / 2.0), 0.0])
     weight = np.where(seen, 1.0 / sigma, 0.0)
     if setting.terrain_sigma_m is None:
-        ground_weight = np.full(P, 1.0 / setting.relief_sigma_m)
+        ground_weight = 1.0 / setting.relief_sigma_m
         parallax = parallax_of(gps, reference, np.zeros(3))
         problem = Problem(layout, xy, weight, priors, reference, ground_weight, parallax=parallax, **lens)
     else:
-        ground_weight = np.full(P, 1.0 / setting.terrain_sigma_m[0])
+        ground_weight = 1.0 / setting.terrain_sigma_m[0]
         problem = Problem(layout, xy, weight, priors, reference, ground_weight, terrain=hills(), **lens)
     return Flight(setting, problem, truth, gps, measured, is_outlier)
 

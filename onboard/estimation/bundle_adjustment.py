@@ -24,6 +24,7 @@ from onboard.estimation.factors import (
     reprojection_jacobians,
 )
 from onboard.estimation.image_blocks import ImageBlock, blocks_of
+from onboard.estimation.platform_states import PLANE
 from onboard.estimation.rolling_shutter import Sweep
 from onboard.geometry.linalg import solve_positive
 from onboard.geometry.robust import robust_cost
@@ -33,6 +34,9 @@ Array = NDArray[np.float64]
 
 _BEHIND = 100.0  # the residual, in sigmas, of a point behind a camera that saw it
 _MAX_LEAP = 0.5  # of its least depth: the longest step of a point
+
+# The plane's whitened residuals: their columns (G,), `Problem.ground_columns`, by point (3, P), by columns (G, P).
+_Ground = tuple[NDArray[np.intp], Array, Array]
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +48,7 @@ class Problem:
     weight: Array  # (K, P) 1 / sigma in normalised image coordinates; 0 where not seen
     priors: list[Prior]
     reference_enu_m: Array = field(default_factory=lambda: np.zeros(3))  # the plane's reference point
-    ground_weight: Array | None = None  # (P,) 1 / sigma of the ground (1/m), or None for no plane under the points
+    ground_weight: float = 0.0  # 1 / sigma of the ground (1/m); 0: no plane under the points
     terrain: Terrain | None = None  # what the plane's heights are counted from, if the ground is known
     # The ground's sigma is relative to what a metre of height moves in the pictures, and `ground_weight` holds where
     # that is this (1/m, `parallax_of`); None: it is in metres. In metres least squares prefer whatever takes the points
@@ -57,6 +61,11 @@ class Problem:
     sweep: Sweep | None = None
 
     @cached_property
+    def measured(self) -> Array:
+        """`xy` as (K, 2, P): points run along the last axis, so that every operation is one long loop."""
+        return np.ascontiguousarray(self.xy.transpose(0, 2, 1))
+
+    @cached_property
     def blocks(self) -> tuple[ImageBlock, ...]:
         """States that move image coordinates."""
         return blocks_of(self.layout, self.camera, self.camera_taken, self.sweep)
@@ -66,6 +75,12 @@ class Problem:
         """Column numbers (K, 6 + M) of everything that moves the image coordinates of a picture but its points."""
         views = np.arange(6 * self.layout.keyframes).reshape(-1, 6)
         return np.concatenate([views, *(block.columns for block in self.blocks)], axis=1)
+
+    @cached_property
+    def ground_columns(self) -> NDArray[np.intp]:
+        """Column numbers (G,) of what moves the ground's residuals: plane, centres, and focal length if estimated."""
+        layout, every = self.layout, np.arange(self.layout.size)
+        return np.concatenate([every[layout.plane], layout.centres().ravel(), every[layout.camera][:1]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,22 +105,21 @@ class Solution:
     @cached_property
     def point_gain(self) -> Array:
         """(P, 3, D): E[d point | d camera side] = -point_gain @ d."""
-        return np.ascontiguousarray(_backward(self.reduced.factor, self.reduced.Z).transpose(2, 1, 0))
+        return np.ascontiguousarray(np.einsum("jip,djp->idp", self.reduced.root, self.reduced.Z).transpose(2, 0, 1))
 
     @cached_property
     def ground_pull(self) -> Array:
         """(D, P): what one sigma of the ground's deviation under each point adds to the reduced right side. (20.4)"""
-        r = self.reduced
-        out: Array = -np.einsum("djp,jp->dp", r.Z, _forward(r.factor, r.ground_by_point))
-        out[r.columns] += r.ground_by_side
+        columns, by_point, by_side = self.reduced.ground
+        out: Array = -np.einsum("djp,jip,ip->dp", self.reduced.Z, self.reduced.root, by_point)
+        out[columns] += by_side
         return out
 
     @cached_property
     def point_covariance(self) -> Array:
         """(P, 3, 3) of the points given the camera side."""
-        factor = self.reduced.factor
-        each = np.repeat(np.eye(3)[..., None], len(factor[0]), axis=2)
-        return np.ascontiguousarray(_backward(factor, _forward(factor, each)).transpose(2, 0, 1))
+        root = self.reduced.root
+        return np.ascontiguousarray(np.einsum("kip,kjp->ijp", root, root).transpose(2, 0, 1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +133,8 @@ class _Residuals:
     behind: NDArray[np.bool_]  # (K, P)
     squared: Array  # (K, P) sigmas
     robust: Array  # (K, P)
-    ground: tuple[Array, Array, Array, Array] | None  # residual (P,), by point, by plane, weight of the loss
+    ground: tuple[Array, Array, Array]  # `_ground`
+    ground_robust: Array  # (P,)
     stiffness: Array
     pull: Array
     cost: float
@@ -128,10 +143,7 @@ class _Residuals:
 
 @dataclass(frozen=True, eq=False)
 class _Linear:
-    """Normal equations (6.2), the coupling W of cameras and points still as its factors: W = by_view' by_point.
-
-    Points run along the last axis, so that every operation is one long loop.
-    """
+    """Normal equations (6.2), the coupling W of cameras and points still as its factors: W = by_view' by_point."""
 
     U: Array  # (D, D)
     V: Array  # (3, 3, P)
@@ -140,38 +152,34 @@ class _Linear:
     by_view: Array  # (K, 6 + M, 2, P)
     by_point: Array  # (K, 3, 2, P)
     views: NDArray[np.intp]  # (K, 6 + M) columns of the camera side, `Problem.columns`
-    columns: NDArray[np.intp]  # of the camera side that the ground depends on
-    ground_by_side: Array  # (G, P)
-    ground_by_point: Array  # (3, P)
+    ground: _Ground
 
 
 @dataclass(frozen=True, eq=False)
 class Reduced:
-    """Schur complement (6.3): S, its right side, and Z = W L^-T with V = L L', points along the last axis."""
+    """Schur complement (6.3): S, its right side, and Z = W L^-T with V = L L'."""
 
     S: Array  # (D, D)
     right: Array  # (D,)
     Z: Array  # (D, 3, P)
     zb: Array  # (3, P) L^-1 bp
-    factor: tuple[Array, ...]
-    columns: NDArray[np.intp]  # of the camera side that the ground depends on
-    ground_by_side: Array  # (G, P) whitened
-    ground_by_point: Array  # (3, P)
+    root: Array  # (3, 3, P) L^-1
+    ground: _Ground
 
 
 def evaluate(problem: Problem, state: State, scale: float | None) -> float:
     """The cost (6.1) at a state: half the sum of squares after the loss."""
-    return _residuals(problem, np.ascontiguousarray(problem.xy.transpose(0, 2, 1)), state, scale).cost
+    return _residuals(problem, state, scale).cost
 
 
 def image_residuals(problem: Problem, state: State) -> Array:
     """Predicted minus measured image coordinates (K, 2, P), normalised; anything where a point is not seen."""
-    return _residuals(problem, np.ascontiguousarray(problem.xy.transpose(0, 2, 1)), state, None).image
+    return _residuals(problem, state, None).image
 
 
-def _residuals(problem: Problem, xy: Array, state: State, scale: float | None) -> _Residuals:
+def _residuals(problem: Problem, state: State, scale: float | None) -> _Residuals:
     weight = problem.weight
-    image, predicted, depth = reprojection(state.R_cam_enu, state.centres_enu_m, state.points_enu_m, xy)
+    image, predicted, depth = reprojection(state.R_cam_enu, state.centres_enu_m, state.points_enu_m, problem.measured)
     if problem.sweep is not None:
         image += problem.sweep.readout_s * problem.sweep.by_readout(state.R_cam_enu, predicted, depth)
     by_block = None
@@ -185,71 +193,55 @@ def _residuals(problem: Problem, xy: Array, state: State, scale: float | None) -
     behind = (depth <= 1e-6) & (weight > 0)
     squared[behind] = _BEHIND**2
     loss, robust = robust_cost(squared, scale)
-    cost = float(loss.sum())
-    ground = None
-    if problem.ground_weight is not None:
-        r, by_point, by_plane = ground_plane(state.points_enu_m, problem.reference_enu_m, state.plane, problem.terrain)
-        r = r * (problem.ground_weight * _seen_larger(problem, state))
-        ground_loss, ground_robust = robust_cost(r * r, scale)
-        cost += float(ground_loss.sum())
-        ground = (r, by_point, by_plane, ground_robust)
-    priors = [prior.evaluate(state) for prior in problem.priors]
-    for r, _ in priors:
-        cost += float(r @ r)
-    J = np.concatenate([J for _, J in priors])
-    stiffness, pull = J.T @ J, J.T @ np.concatenate([r for r, _ in priors])
+    ground = _ground(problem, state)
+    ground_loss, ground_robust = robust_cost(ground[0] ** 2, scale)
+    r, J = (np.concatenate(part) for part in zip(*(p.evaluate(state) for p in problem.priors), strict=True))
+    stiffness, pull = J.T @ J, J.T @ r
+    cost = float(loss.sum() + ground_loss.sum() + r @ r)
     for block in problem.blocks:
         if block.sigma is not None:
             columns, values = block.columns.ravel(), block.values(state).ravel()
             cost += block.sigma**-2 * float(values @ values)
             stiffness[columns, columns] += block.sigma**-2
             pull[columns] += block.sigma**-2 * values
-    cost *= 0.5
-    return _Residuals(state, image, predicted, depth, behind, squared, robust, ground, stiffness, pull, cost, by_block)
+    parts = image, predicted, depth, behind, squared, robust, ground, ground_robust, stiffness, pull
+    return _Residuals(state, *parts, 0.5 * cost, by_block)
 
 
-def _clearance(centres_enu_m: Array, reference_enu_m: Array, plane: Array) -> float:
-    """Mean height (m) of views (K, 3) over the plane, each over the place below it."""
-    east, north, up = centres_enu_m.mean(axis=0) - reference_enu_m
-    return max(float(up - plane[0] - plane[1] * east - plane[2] * north), 1.0)
+def _ground(problem: Problem, state: State) -> tuple[Array, Array, Array]:
+    """Whitened residuals (P,) of the plane under the points, (5.9), by the point (3, P), by `ground_columns` (G, P)."""
+    r, by_point, by_plane = ground_plane(state.points_enu_m, problem.reference_enu_m, state.plane, problem.terrain)
+    weight, by_side = problem.ground_weight, np.zeros((len(problem.ground_columns), len(r)))
+    if problem.parallax is not None:
+        parallax, by_log = _parallax(state.centres_enu_m, problem.reference_enu_m, state.plane)
+        log_focal = state.camera[:1]
+        weight = weight * (parallax / problem.parallax * float(np.exp(log_focal.sum())))
+        by_side = np.outer(np.append(by_log, np.ones(len(log_focal))), weight * r)
+    by_side[:PLANE] += weight * by_plane.T
+    return weight * r, weight * by_point.T, by_side
 
 
 def parallax_of(centres_enu_m: Array, reference_enu_m: Array, plane: Array) -> float:
     """How much (rad/m, about) a metre of height over a plane moves in pictures from views (K, 3). (5.9)"""
-    span = centres_enu_m - centres_enu_m.mean(axis=0)
-    spread_m = float(np.sqrt(np.mean(np.sum(span**2, axis=1))))
-    steepness = float(np.hypot(1.0, np.hypot(*plane[1:])))
-    return steepness * spread_m / _clearance(centres_enu_m, reference_enu_m, plane) ** 2
+    return _parallax(centres_enu_m, reference_enu_m, plane)[0]
 
 
-def _seen_larger(problem: Problem, state: State) -> float:
-    """The factor on the ground residuals' weight: how much more a metre of height moves than at problem.parallax."""
-    if problem.parallax is None:
-        return 1.0
-    grown = float(np.exp(state.camera[0])) if len(state.camera) else 1.0
-    return grown * parallax_of(state.centres_enu_m, problem.reference_enu_m, state.plane) / problem.parallax
-
-
-def _by_seen_larger(problem: Problem, state: State) -> tuple[NDArray[np.intp], Array]:
-    """Columns (G,) that the logarithm of that factor depends on, and its derivatives (G,)."""
-    layout, centres, plane = problem.layout, state.centres_enu_m, state.plane
-    mean = centres.mean(axis=0)
-    east, north, _ = mean - problem.reference_enu_m
-    by_clearance = -2.0 / _clearance(centres, problem.reference_enu_m, plane)
-    by_centre = (centres - mean) / max(float(np.sum((centres - mean) ** 2)), 1e-12)
-    by_centre += by_clearance / len(centres) * np.array([-plane[1], -plane[2], 1.0])
+def _parallax(centres_enu_m: Array, reference_enu_m: Array, plane: Array) -> tuple[float, Array]:
+    """The same, and the derivatives (3 + 3 K,) of its logarithm by the plane and the centres."""
+    middle = centres_enu_m.mean(axis=0)
+    span, (east, north, up) = centres_enu_m - middle, middle - reference_enu_m
+    squared, steep = float(np.sum(span**2)), 1.0 + float(plane[1:] @ plane[1:])
+    clearance_m = max(float(up - plane[0] - plane[1] * east - plane[2] * north), 1.0)
+    by_clearance = -2.0 / clearance_m
     by_plane = -by_clearance * np.array([1.0, east, north])
-    by_plane[1:] += plane[1:] / (1.0 + float(plane[1:] @ plane[1:]))
-    columns = [np.arange(layout.size)[layout.plane], layout.centres().ravel()]
-    by = [by_plane, by_centre.ravel()]
-    if layout.camera_states:
-        columns, by = [*columns, np.array([layout.camera.start])], [*by, np.ones(1)]
-    return np.concatenate(columns), np.concatenate(by)
+    by_plane[1:] += plane[1:] / steep
+    by_centre = span / max(squared, 1e-12) + by_clearance / len(span) * np.array([-plane[1], -plane[2], 1.0])
+    parallax = float(np.sqrt(steep * squared / len(span))) / clearance_m**2
+    return parallax, np.concatenate([by_plane, by_centre.ravel()])
 
 
 def _linearise(problem: Problem, at: _Residuals) -> _Linear:
     """Normal equations (6.2) in blocks: camera side U, points V, coupling W."""
-    layout = problem.layout
     K, P = problem.weight.shape
     s = problem.weight * np.sqrt(at.robust)
     s[at.behind] = 0.0
@@ -264,94 +256,49 @@ def _linearise(problem: Problem, at: _Residuals) -> _Linear:
     U, bc = at.stiffness.copy(), at.pull.copy()
     np.add.at(U, (views[:, :, None], views[:, None]), flat @ flat.transpose(0, 2, 1))
     np.add.at(bc, views, (flat @ r.reshape(K, 2 * P, 1))[..., 0])
-    rows = A.transpose(1, 0, 2, 3).reshape(3, 2 * K, P)
-    V = np.empty((3, 3, P))
-    for i in range(3):
-        for j in range(i + 1):
-            np.einsum("kp,kp->p", rows[i], rows[j], out=V[i, j])
-            V[j, i] = V[i, j]
-    bp = np.einsum("ikp,kp->ip", rows, r.reshape(2 * K, P))
-    columns, gs, gp = np.zeros(0, np.intp), np.zeros((0, P)), np.zeros((3, P))
-    if at.ground is not None:
-        assert problem.ground_weight is not None
-        rg, by_point, by_plane, robust = at.ground
-        root = np.sqrt(robust)
-        w = problem.ground_weight * root * _seen_larger(problem, at.state)
-        gp, gs, rg = by_point.T * w, by_plane.T * w, rg * root
-        columns = np.arange(layout.size)[layout.plane]
-        if problem.parallax is not None:
-            columns, by_factor = _by_seen_larger(problem, at.state)
-            by_factor = by_factor[:, None] * rg
-            by_factor[: len(gs)] += gs
-            gs = by_factor
-        V += gp[:, None] * gp[None]
-        bp += gp * rg
-        U[np.ix_(columns, columns)] += gs @ gs.T
-        bc[columns] += gs @ rg
-    return _Linear(U, V, bc, bp, J, A, views, columns, gs, gp)
+    V = np.einsum("kicp,kjcp->ijp", A, A)
+    bp = np.einsum("kicp,kcp->ip", A, r)
+    rg, gp, gs = (part * np.sqrt(at.ground_robust) for part in at.ground)
+    V += gp[:, None] * gp
+    bp += gp * rg
+    columns = problem.ground_columns
+    U[np.ix_(columns, columns)] += gs @ gs.T
+    bc[columns] += gs @ rg
+    return _Linear(U, V, bc, bp, J, A, views, (columns, gp, gs))
 
 
-def _point_factor(V: Array, damping: float) -> tuple[Array, ...]:
-    """Cholesky factors of all (3, 3, P) point blocks; a tiny ridge keeps a point seen once finite.
-
-    Returns reciprocals of the diagonal and the three below it, (P,) each: d0, d1, d2, l10, l20, l21.
-    """
-    ridge = 1e-10 * (V[0, 0] + V[1, 1] + V[2, 2]) + 1e-12
-    grow = 1.0 + damping
-    d0 = 1.0 / np.sqrt(V[0, 0] * grow + ridge)
-    l10, l20 = V[1, 0] * d0, V[2, 0] * d0
-    d1 = 1.0 / np.sqrt(np.maximum(V[1, 1] * grow + ridge - l10 * l10, 1e-300))
-    l21 = (V[2, 1] - l20 * l10) * d1
-    d2 = 1.0 / np.sqrt(np.maximum(V[2, 2] * grow + ridge - l20 * l20 - l21 * l21, 1e-300))
-    return d0, d1, d2, l10, l20, l21
-
-
-def _forward(factor: tuple[Array, ...], b: Array) -> Array:
-    """L^-1 b for b (..., 3, P)."""
-    d0, d1, d2, l10, l20, l21 = factor
-    z = np.empty_like(b)
-    z0, z1, z2 = z[..., 0, :], z[..., 1, :], z[..., 2, :]
-    np.multiply(b[..., 0, :], d0, out=z0)
-    np.subtract(b[..., 1, :], z0 * l10, out=z1)
-    z1 *= d1
-    np.subtract(b[..., 2, :], z0 * l20, out=z2)
-    z2 -= z1 * l21
-    z2 *= d2
-    return z
-
-
-def _backward(factor: tuple[Array, ...], z: Array) -> Array:
-    """L^-T z for z (..., 3, P)."""
-    d0, d1, d2, l10, l20, l21 = factor
-    x = np.empty_like(z)
-    x2 = z[..., 2, :] * d2
-    x1 = (z[..., 1, :] - l21 * x2) * d1
-    x[..., 0, :] = (z[..., 0, :] - l10 * x1 - l20 * x2) * d0
-    x[..., 1, :], x[..., 2, :] = x1, x2
-    return x
+def _point_root(V: Array, damping: float) -> Array:
+    """L^-1 of all (3, 3, P) point blocks V = L L'; a tiny ridge keeps a point seen once finite."""
+    x, y, z = V.diagonal().T * (1.0 + damping) + (1e-10 * V.trace() + 1e-12)
+    root = np.zeros_like(V)
+    root[0, 0] = 1.0 / np.sqrt(x)
+    l10, l20 = V[1:, 0] * root[0, 0]
+    root[1, 1] = 1.0 / np.sqrt(np.maximum(y - l10 * l10, 1e-300))
+    l21 = (V[2, 1] - l20 * l10) * root[1, 1]
+    root[2, 2] = 1.0 / np.sqrt(np.maximum(z - l20 * l20 - l21 * l21, 1e-300))
+    root[1, 0] = -root[1, 1] * l10 * root[0, 0]
+    root[2, 1] = -root[2, 2] * l21 * root[1, 1]
+    root[2, 0] = -root[2, 2] * (l20 * root[0, 0] + l21 * root[1, 0])
+    return root
 
 
 def _reduce(system: _Linear, damping: float) -> Reduced:
     """Eliminate the points, (6.3)."""
-    D, P = len(system.U), system.bp.shape[-1]
-    K = len(system.by_view)
-    factor = _point_factor(system.V, damping)
+    D, P, K = len(system.U), system.bp.shape[-1], len(system.by_view)
+    root = _point_root(system.V, damping)
     J = system.by_view
-    A = _forward(factor, system.by_point.transpose(0, 2, 1, 3))
+    A = np.einsum("ijp,kjcp->kcip", root, system.by_point)
     Z = np.zeros((D, 3, P))
-    views = Z[: 6 * K].reshape(K, 6, 3, P)
-    np.multiply(J[:, :6, None, 0], A[:, None, 0], out=views)
-    views += J[:, :6, None, 1] * A[:, None, 1]
+    np.einsum("kmip,kijp->kmjp", J[:, :6], A, out=Z[: 6 * K].reshape(K, 6, 3, P))
     for k in range(K * (J.shape[1] > 6)):  # pictures share some of these columns
         Z[system.views[k, 6:]] += np.einsum("mip,ijp->mjp", J[k, 6:], A[k])
-    if len(system.columns):
-        Z[system.columns] += system.ground_by_side[:, None] * _forward(factor, system.ground_by_point)
-    zb = _forward(factor, system.bp)
+    columns, by_point, by_side = system.ground
+    Z[columns] += by_side[:, None] * np.einsum("ijp,jp->ip", root, by_point)
+    zb = np.einsum("ijp,jp->ip", root, system.bp)
     flat = Z.reshape(D, -1)
     S = system.U - flat @ flat.T
     S.flat[:: D + 1] += damping * system.U.diagonal()
-    ground = system.columns, system.ground_by_side, system.ground_by_point
-    return Reduced(S, system.bc - flat @ zb.reshape(-1), Z, zb, factor, *ground)
+    return Reduced(S, system.bc - flat @ zb.reshape(-1), Z, zb, root, system.ground)
 
 
 def solve(
@@ -361,18 +308,16 @@ def solve(
     scale: float | None = 3.0,
     max_iterations: int = 25,
     tolerance: float = 1e-6,
-    damping: float = 1e-8,
 ) -> Solution:
     """Minimise (6.1) from `state`. `scale` is the Cauchy loss's, in sigmas; None for plain least squares.
 
     Stops when a step promises to gain less than `tolerance` of the cost, or after `max_iterations` accepted or refused
     steps.
     """
-    xy = np.ascontiguousarray(problem.xy.transpose(0, 2, 1))
-    at = _residuals(problem, xy, state, scale)
+    at = _residuals(problem, state, scale)
     system = _linearise(problem, at)
     seen = problem.weight > 0
-    converged, iterations, growth = False, 0, 2.0
+    converged, iterations, damping, growth = False, 0, 1e-8, 2.0
     reduced: Reduced | None = None
     while iterations < max_iterations:
         iterations += 1
@@ -381,24 +326,22 @@ def solve(
         if dc is None:
             damping = max(damping * 10.0, 1e-6)
             continue
-        dp = -_backward(reduced.factor, reduced.zb + (dc @ reduced.Z.reshape(len(dc), -1)).reshape(3, -1))
+        dp = -np.einsum("jip,jp->ip", reduced.root, reduced.zb + np.tensordot(dc, reduced.Z, 1))
         # A point with little parallax may be sent behind the cameras, from where no derivative brings it back.
         nearest = np.where(seen, at.depth, np.inf).min(axis=0)
         dp *= np.minimum(1.0, _MAX_LEAP * np.maximum(nearest, 1.0) / np.maximum(np.sqrt((dp * dp).sum(axis=0)), 1e-12))
         expected = -0.5 * float(dc @ system.bc + np.sum(dp * system.bp))
-        trial = _residuals(problem, xy, at.state.retract(dc, dp.T), scale)
-        if np.isfinite(trial.cost) and trial.cost <= at.cost:
-            at = trial
-            if expected <= tolerance * (at.cost + 1e-12):
-                # So small a step changes no derivative: what was reduced before it serves the covariances.
-                converged = True
-                break
+        trial = _residuals(problem, at.state.retract(dc, dp.T), scale)
+        is_better = trial.cost <= at.cost  # not where it is no number
+        at = trial if is_better else at
+        if expected <= tolerance * (at.cost + 1e-12) or (not is_better and np.abs(dc).max() < 1e-9):
+            # So small a step changes no derivative: what was reduced before it serves the covariances.
+            converged = True
+            break
+        if is_better:
             system = _linearise(problem, at)
             damping, growth = (0.2 * damping if damping > 1e-8 else 0.0), 2.0
         else:
-            if expected <= tolerance * (at.cost + 1e-12) or np.abs(dc).max(initial=0.0) < 1e-9:
-                converged = True
-                break
             damping, growth = max(damping, 1e-8) * growth * 2.0, growth * 2.0
             if damping > 1e9:
                 break

@@ -1,6 +1,6 @@
 """Ground roughness: how far the ground is from its plane, and over what distance neighbours deviate together.
 
-Equations (9.6) and (5.13) of docs/mathematics.md.
+And how closely a window's points may therefore be held to it. Equations (9.6) and (5.13).
 """
 
 from __future__ import annotations
@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from scipy.linalg import lapack
 
 from contract.kriging import distances, on_plane
+from onboard.estimation.bundle_adjustment import Problem, Solution
+from onboard.estimation.factors import ground_plane
 from onboard.geometry.linalg import solve_small
 from onboard.geometry.robust import irls, middle
 
@@ -70,8 +72,7 @@ def _roughness(places: Array, relative: Array, variance: Array, spread: float) -
     """Slope of the variogram of relative inverse depth at distance zero: the likeliest for these features. (9.6)
 
     `places` (N, 3) of features on the ground's plane, in camera heights; linear in them is the trend.
-    The field is the one that kriging interpolates, (9.8), with its trend and nuggets; a likelihood is a product of
-    predictions from what is already known, so what fits it best also predicts as well as it says.
+    The field is the one that kriging interpolates, (9.8), with its trend and nuggets.
     """
     s2 = spread * spread
     distance = distances(places, places)
@@ -94,13 +95,22 @@ def _roughness(places: Array, relative: Array, variance: Array, spread: float) -
     ladder = np.log(s2) + np.log(ROUGHNESS_RANGES)
     costs = [unlikely(float(step)) for step in ladder]
     k = int(np.argmin(costs))
-    best = float(ladder[k])
+    best = ladder[k]
     if 0 < k < len(ladder) - 1 and np.all(np.isfinite(costs[k - 1 : k + 2])):
-        left, here, right = costs[k - 1 : k + 2]
-        bend = left - 2.0 * here + right
-        if bend > 0.0:
-            best += 0.5 * (left - right) / bend * float(ladder[1] - ladder[0])
+        left, here, right = costs[k - 1 : k + 2]  # of equal ones `here` is the first, so `left` is above it
+        best += 0.5 * (left - right) / (left - 2.0 * here + right) * (ladder[1] - ladder[0])
     return max(float(np.exp(best)), MIN_ROUGHNESS)
+
+
+def correlated(problem: Problem, first: Solution, ground_weight: float) -> float:
+    """1 / sigma (1/m) of the ground for correlated deviations: no more than `ground_weight`. (5.13)"""
+    s = first.state
+    height, _, _ = ground_plane(s.points_enu_m, problem.reference_enu_m, s.plane, problem.terrain)
+    seen = np.isfinite(height) & (np.count_nonzero(problem.weight > 0, axis=0) >= 2)
+    offset = (s.points_enu_m - problem.reference_enu_m)[seen, :2]
+    clearance_m = float((s.centres_enu_m[:, 2]).mean() - np.median(s.points_enu_m[seen, 2]))
+    sigma_m = effective_sigma_m(offset, height[seen], first.point_covariance[seen, 2, 2], clearance_m)
+    return min(ground_weight, 1.0 / max(sigma_m, 1e-3))
 
 
 def effective_sigma_m(offset_m: Array, height_m: Array, variance_m2: Array, clearance_m: float) -> float:

@@ -16,7 +16,7 @@ from scipy.special import chdtri
 
 from contract.feature_set import Status
 from contract.rotations import exp_so3, log_so3
-from onboard.estimation import ground_weight, row_waves, window_problem
+from onboard.estimation import ground_roughness, row_waves, window_problem
 from onboard.estimation.bundle_adjustment import Solution, solve
 from onboard.estimation.camera_states import COUNT, FOCAL_LENGTH, K1
 from onboard.estimation.factors import OWN_STATES, RATES, SHIFT, WAVES, ZOOM, State
@@ -60,7 +60,7 @@ def found(window: WindowProblem, weighed: Weighed) -> Outcome | None:
     """The refusal of a window in which the optics changed; None if nothing did. `weighed` is its first adjustment."""
     groups, has_attitude = weighed.noise.factors.groups, have_attitude(window.keyframes)
     s = weighed.solution
-    against = contradictions(innovations(weighed.priors, s.state, s.covariance, groups))
+    against = contradictions(innovations(weighed.problem.priors, s.state, s.covariance, groups))
     is_turned = has_attitude and any(i.group in (TILT, HEADING) for i in against)
     each, common = zoom_scores(window, weighed)
     is_file_doubted = common.exceeds_chance() and not window.layout.camera_states
@@ -98,7 +98,7 @@ def zoom_scores(window: WindowProblem, weighed: Weighed) -> tuple[Excess, Excess
     """What focal lengths that part pictures, and one that all share, promise to explain: by the first step. (19.4)"""
     tried = window.with_block(ZOOM)
     state = weighed.solution.state.with_block(tried.layout, ZOOM)
-    priors = [replace(p, layout=tried.layout) for p in weighed.priors]
+    priors = [replace(p, layout=tried.layout) for p in weighed.problem.priors]
     step = solve(replace(weighed.problem, layout=tried.layout, priors=priors), state, max_iterations=0)
     columns = tried.layout.by_picture[:, -1]
     moved = step.covariance[columns] @ step.reduced.right
@@ -131,9 +131,9 @@ class Hypotheses:
         # A sensor that was found to fail may have been innocent.
         noise = replace(weighed.noise, factors=replace(weighed.noise.factors, groups={}))
         # Nor do hills contradict the pictures, whose points all lie above or below a plane together.
-        hold = ground_weight.correlated(weighed.problem, weighed.solution, stated.hold)
-        stated = replace(stated, hold=hold)
-        self._closed, self._first = replace(window, hold=hold), weighed.solution
+        hold = ground_roughness.correlated(weighed.problem, weighed.solution, stated.unweighed.ground_weight)
+        stated = stated.with_problem(ground_weight=hold)
+        self._closed, self._first = window.with_problem(ground_weight=hold), weighed.solution
         self._noise, self._lens = noise, settled(stated, noise, stated.state)
         self._window, self._none = with_open_rows(stated, noise, self._lens)
         self.solved: dict[str, Solution] = {}

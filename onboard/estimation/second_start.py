@@ -26,7 +26,7 @@ from onboard.estimation.bundle_adjustment import Problem, Solution
 from onboard.estimation.clock_profile import CLEAR
 from onboard.estimation.factors import Layout, Prior, RangePrior, State
 from onboard.estimation.keyframe import Keyframe, have_attitude, turned
-from onboard.estimation.pixel_noise import fit_of, view_states
+from onboard.estimation.pixel_noise import fit_of
 from onboard.estimation.platform_states import BORESIGHT, HEADING
 from onboard.estimation.sensor_factors import coordinated_turn, cosine_sine_of_heading
 from onboard.estimation.solved_window import Solved
@@ -96,7 +96,7 @@ def is_far_worse(found: Outcome, other: Request) -> bool:
     if not isinstance(window, WindowProblem):
         return True
     problem = found.weighed.problem
-    solution = _minimum(problem, window.state, window.reference_enu_m)
+    solution = _minimum(problem, window.state, window.unweighed.reference_enu_m)
     return _preferred(found.weighed.solution, solution, problem) == 1
 
 
@@ -166,7 +166,7 @@ def _preferred(one: Solution, two: Solution, problem: Problem) -> int:
 
 def _noise_shown(solution: Solution, problem: Problem) -> float:
     """The variance that residuals show, in units of what was assumed, at least 1. (6.11)"""
-    return max(fit_of(solution.residual_sigmas, view_states(problem.layout)), 1.0) ** 2
+    return max(fit_of(solution.residual_sigmas, problem.layout), 1.0) ** 2
 
 
 def cost_by_point(solution: Solution) -> Array:

@@ -1,4 +1,4 @@
-"""What a solved window is: poses of its keyframes, points, and everything that covariances need."""
+"""What a solved window is."""
 
 from __future__ import annotations
 
@@ -22,7 +22,6 @@ Mask = NDArray[np.bool_]
 class Solved:
     """A solved window: poses of its keyframes, its points by id, and everything the covariances need."""
 
-    frames: tuple[int, ...]
     layout: Layout
     solution: Solution
     point_ids: Ids  # sorted
@@ -39,6 +38,11 @@ class Solved:
     priors: tuple[Prior, ...] = ()  # that the solution was weighted by: where its errors come from, (20.1)
 
     @property
+    def frames(self) -> tuple[int, ...]:
+        """Of its keyframes."""
+        return tuple(k.frame for k in self.keyframes)
+
+    @property
     def span_s(self) -> tuple[float, float]:
         """First and last exposure, s on the session's clock."""
         first, last = self.keyframes[0].nav.stamp_ns, self.keyframes[-1].nav.stamp_ns
@@ -50,8 +54,6 @@ class Solved:
 
     def rows(self, ids: Ids) -> tuple[NDArray[np.intp], Mask]:
         """Row of each id among the points, and whether it is there and good."""
-        if not len(self.point_ids):
-            return np.zeros(len(ids), np.intp), np.zeros(len(ids), bool)
         at = np.minimum(np.searchsorted(self.point_ids, ids), len(self.point_ids) - 1)
         return at, (self.point_ids[at] == ids) & self.good[at]
 

@@ -17,10 +17,14 @@ from onboard.estimation.window_solver import adjust
 
 @dataclass(frozen=True, eq=False)
 class Done:
-    """An outcome and the processor time it took."""
+    """An outcome and the processor time it took; also the promise of itself."""
 
     outcome: Outcome
     processor_s: float
+
+    def result(self) -> Done:
+        """It is there."""
+        return self
 
 
 class Promise(Protocol):
@@ -37,20 +41,12 @@ class Worker(Protocol):
         """Begin, or at least remember, one call."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Kept:
-    done: Done
-
-    def result(self) -> Done:
-        return self.done
-
-
 class Inline:
     """Works at once and in the same thread."""
 
     def submit(self, fn: Callable[[Request], Done], request: Request, /) -> Promise:
         """Do it now."""
-        return _Kept(fn(request))
+        return fn(request)
 
 
 def timed_adjust(request: Request) -> Done:

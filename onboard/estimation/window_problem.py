@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from contract.feature_set import Status
-from onboard.estimation import ground_weight, window_start
+from onboard.config.schema import Config
+from onboard.estimation import window_start
 from onboard.estimation.bundle_adjustment import Problem, Solution, parallax_of, solve
-from onboard.estimation.factors import RATES, WAVES, Layout, Prior, RangePrior, State
+from onboard.estimation.factors import RATES, WAVES, Layout, Prior, State, ground_plane
 from onboard.estimation.image_blocks import OPEN
 from onboard.estimation.keyframe import Ids, Keyframe
 from onboard.estimation.rolling_shutter import Sweep
@@ -19,12 +21,12 @@ from onboard.estimation.sensor_factors import Sensors, range_prior
 from onboard.estimation.window_acceptance import MIN_POINTS
 from onboard.estimation.window_request import Noise, Outcome, Request, Weighed
 from onboard.geometry.plane_fit import fit_plane
-from onboard.geometry.terrain_grid import Terrain
 
 Array = NDArray[np.float64]
 
 MIN_KEYFRAMES = 3
 FIRST_SCALE = 3.0  # of the loss (6.5) in sigmas, in the first of the two solves
+MIN_STRAY_M = 0.3  # least sigma of the ground about its plane, by the points themselves
 
 
 def approximate(problem: Problem, state: State) -> Solution:
@@ -38,98 +40,82 @@ class WindowProblem:
 
     request: Request
     keyframes: tuple[Keyframe, ...]
-    ids: Ids
-    layout: Layout
-    rows: Sweep | None
-    raw: Array  # (K, P, 2) as the rows saw them
-    weight: Array  # (K, P) by the flight's pixel sigma
+    ids: Ids  # (P,)
+    unweighed: Problem  # by the flight's pixel sigma; of the priors only the range finder's, where there is one
     state: State
-    reference_enu_m: Array  # (3,) of the ground plane
-    hold: Array  # (P,) 1 / sigma of the ground under each point, 1/m
-    terrain: Terrain | None
-    parallax: float | None  # of a metre of height where the adjustment starts, 1/m; None over a terrain model
-    ranged: RangePrior | None
 
     @property
-    def start_ns(self) -> int:
-        """Stamp of the first keyframe."""
-        return self.keyframes[0].nav.stamp_ns
-
-    def sensors(self, noise: Noise) -> list[Prior]:
-        """The sensors' residuals, weighted by this noise."""
-        request = self.request
-        sensors = Sensors(
-            request.config, request.R_body_cam, self.keyframes, self.layout, noise.factors, noise.jitter_s
-        )
-        found = sensors.priors(request.platform, self.terrain is not None, request.slope)
-        return found if self.ranged is None else [*found, self.ranged]
+    def layout(self) -> Layout:
+        """Columns of the adjustment."""
+        return self.unweighed.layout
 
     def problem(self, noise: Noise) -> Problem:
         """What is minimised, weighted by this noise."""
-        request = self.request
-        return Problem(
-            self.layout,
-            self.raw,
-            self.weight / noise.noise_inflation,
-            self.sensors(noise),
-            self.reference_enu_m,
-            self.hold,
-            self.terrain,
-            self.parallax,
-            request.camera if self.layout.camera_states else None,
-            request.camera_taken,
-            self.rows,
+        request, unweighed = self.request, self.unweighed
+        sensors = Sensors(
+            request.config, request.R_body_cam, self.keyframes, self.layout, noise.factors, noise.jitter_s
         )
+        priors = sensors.priors(request.platform, unweighed.terrain is not None, request.slope)
+        return replace(unweighed, weight=unweighed.weight / noise.noise_inflation, priors=[*priors, *unweighed.priors])
 
     def weighed(self, noise: Noise, state: State) -> Weighed:
         """The first solve, weighted by this noise, from a state."""
         problem = self.problem(noise)
-        return Weighed(noise, problem, problem.priors, approximate(problem, state))
+        return Weighed(noise, problem, approximate(problem, state))
 
     def with_block(self, block: str) -> WindowProblem:
-        """The same with a block of image states that start at zero."""
+        """The same with a block of image states that start at zero; as it is where it has the block."""
+        if block in self.layout.blocks:
+            return self
         layout = self.layout.with_block(block)
-        ranged = None if self.ranged is None else replace(self.ranged, layout=layout)
-        return replace(self, layout=layout, ranged=ranged, state=self.state.with_block(layout, block))
+        priors = [replace(prior, layout=layout) for prior in self.unweighed.priors]
+        unweighed = replace(self.unweighed, layout=layout, priors=priors)
+        return replace(self, unweighed=unweighed, state=self.state.with_block(layout, block))
+
+    def with_problem(self, **changes: Any) -> WindowProblem:
+        """The same with other fields of `unweighed`."""
+        return replace(self, unweighed=replace(self.unweighed, **changes))
 
     def with_rows_in_turn(self) -> WindowProblem:
         """The same with rows read one after the other in pictures that turn as nothing measures. (18.4)"""
-        window = self if RATES in self.layout.blocks else self.with_block(RATES)
-        rows = self.rows
+        rows = self.unweighed.sweep
         if rows is None:
             still = np.zeros((len(self.keyframes), 3))
             rows = Sweep(0.0, window_start.grid(self.request, self.ids)[3], still, still, scale_s=1.0)
-        return replace(window, rows=replace(rows, sigma_rate_rad_s=OPEN / rows.scale_s))
-
-    def without_known_ground(self, weighed: Weighed) -> Solution:
-        """The weighed solution with the covariance that it had over ground of which nothing were known. (6.14)"""
-        state, request = weighed.solution.state, self.request
-        plane, _ = fit_plane(state.points_enu_m)
-        reference = self.reference_enu_m.copy()
-        reference[2] = plane[0] + plane[1:] @ reference[:2]
-        tilted = np.array([0.0, plane[1], plane[2]])
-        hold = np.full(len(state.points_enu_m), ground_weight.as_declared(request.config))
-        free = replace(self, terrain=None, ranged=None)
-        problem = replace(
-            weighed.problem,
-            priors=free.sensors(weighed.noise),
-            reference_enu_m=reference,
-            ground_weight=hold,
-            terrain=None,
-            parallax=parallax_of(state.centres_enu_m, reference, tilted),
-        )
-        return solve(problem, replace(state, plane=tilted), max_iterations=1)
+        return self.with_block(RATES).with_problem(sweep=replace(rows, sigma_rate_rad_s=OPEN / rows.scale_s))
 
     def vibrating(self, waves: Waves) -> WindowProblem:
         """The same with so much vibration in the pictures' rows, which must be read one after the other."""
-        assert self.rows is not None
-        window = self if WAVES in self.layout.blocks else self.with_block(WAVES)
-        return replace(window, rows=replace(self.rows, cycles=waves.cycles, sigma_wave_rad=waves.sigma_rad))
+        rows = self.unweighed.sweep
+        assert rows is not None
+        rows = replace(rows, cycles=waves.cycles, sigma_wave_rad=waves.sigma_rad)
+        return self.with_block(WAVES).with_problem(sweep=rows)
+
+    def without_known_ground(self, weighed: Weighed) -> Solution:
+        """The weighed solution with the covariance that it had over ground of which nothing were known. (6.14)"""
+        state = weighed.solution.state
+        plane, _ = fit_plane(state.points_enu_m)
+        reference = self.unweighed.reference_enu_m.copy()
+        reference[2] = plane[0] + plane[1:] @ reference[:2]
+        tilted = np.array([0.0, plane[1], plane[2]])
+        free = self.with_problem(
+            priors=[],
+            reference_enu_m=reference,
+            ground_weight=_as_declared(self.request.config),
+            terrain=None,
+            parallax=parallax_of(state.centres_enu_m, reference, tilted),
+        )
+        return solve(free.problem(weighed.noise), replace(state, plane=tilted), max_iterations=1)
+
+
+def _as_declared(config: Config) -> float:
+    """1 / sigma (1/m) of ground of which nothing is known but its roughness."""
+    return 1.0 / max(config.solve.ground_roughness_sigma_m, 1e-3)
 
 
 def from_request(request: Request) -> WindowProblem | Outcome:
     """The window as requested; an outcome that says why there is none."""
-    keyframes, noise = request.keyframes, request.noise
+    keyframes, noise, config = request.keyframes, request.noise, request.config
     if len(keyframes) < MIN_KEYFRAMES:
         return Outcome(Status.STARTING, keyframes, noise)
     ids, counts = np.unique(np.concatenate([k.observation.ids for k in keyframes]), return_counts=True)
@@ -147,17 +133,21 @@ def from_request(request: Request) -> WindowProblem | Outcome:
     R = np.stack([k.R_cam_enu for k in keyframes])
     C = np.stack([k.centre_enu_m for k in keyframes])
     points, reference, plane = window_start.starting_points(request, ids, R, C, xy, weight > 0)
-    off = np.zeros(layout.by_picture.shape)
-    state = State(R, C, points, request.platform.mean, plane, off)
-    hold, terrain = ground_weight.weight_and_terrain(request, points)
-    if terrain is not None:
-        reference[2] = 0.0
-        state = replace(state, plane=np.zeros(3))
-    parallax = None if terrain is not None else parallax_of(C, reference, plane)
-    strays_m = ground_weight.strays_m(request, points - reference, state.plane, terrain)
-    ranged = range_prior(list(keyframes), layout, reference, state.plane, strays_m, terrain)
+    terrain = request.terrain
+    if terrain is not None and np.all(np.isfinite(terrain.height_and_slope(points[:, :2])[0])):
+        reference[2], plane, parallax = 0.0, np.zeros(3), None
+        hold, strays_m = 1.0 / config.terrain.sigma_m, config.terrain.sigma_m
+    else:
+        above, _, _ = ground_plane(points, reference, plane)
+        measured_m = 1.4826 * float(np.median(np.abs(above - np.median(above))))
+        terrain, parallax, hold = None, parallax_of(C, reference, plane), _as_declared(config)
+        strays_m = max(min(measured_m, config.solve.ground_roughness_sigma_m), MIN_STRAY_M)
+    ranged = range_prior(list(keyframes), layout, reference, plane, strays_m, terrain)
     if ranged is not None:  # what it measures is the plane: the points must be held to that as closely as they lie
-        hold = np.full(len(points), 1.0 / strays_m)
-    return WindowProblem(
-        request, keyframes, ids, layout, rows, raw, weight, state, reference, hold, terrain, parallax, ranged
-    )
+        hold = 1.0 / strays_m
+    priors: list[Prior] = [] if ranged is None else [ranged]
+    camera = request.camera if layout.camera_states else None
+    ground = reference, hold, terrain, parallax
+    unweighed = Problem(layout, raw, weight, priors, *ground, camera, request.camera_taken, rows)
+    state = State(R, C, points, request.platform.mean, plane, np.zeros(layout.by_picture.shape))
+    return WindowProblem(request, keyframes, ids, unweighed, state)

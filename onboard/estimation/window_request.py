@@ -12,7 +12,6 @@ from contract.feature_set import Status
 from onboard.config.schema import Config
 from onboard.estimation.boresight import PlatformEstimate
 from onboard.estimation.bundle_adjustment import Problem, Solution
-from onboard.estimation.factors import Prior
 from onboard.estimation.ground_slope import SlopePrior
 from onboard.estimation.keyframe import Keyframe
 from onboard.estimation.reobservation import Agreement
@@ -66,7 +65,6 @@ class Weighed:
 
     noise: Noise
     problem: Problem
-    priors: list[Prior]
     solution: Solution
 
 

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from contract.camera import Camera
 from contract.feature_set import Status
-from onboard.estimation import camera_states, ground_weight, moved_optics, row_waves, window_problem, window_start
+from onboard.estimation import camera_states, ground_roughness, moved_optics, row_waves, window_problem, window_start
 from onboard.estimation.bundle_adjustment import Problem, Solution, solve
-from onboard.estimation.factors import WAVES, AttitudePrior, Layout, Prior, State, VelocityPrior
-from onboard.estimation.ground_motion import ground_motion, ground_sigma_m_s
-from onboard.estimation.keyframe import Ids
-from onboard.estimation.pixel_noise import fit_of, view_states
+from onboard.estimation.factors import WAVES, AttitudePrior, Layout, Prior, VelocityPrior
+from onboard.estimation.ground_motion import GroundMotion, ground_motion, ground_sigma_m_s
+from onboard.estimation.keyframe import Keyframe, have_attitude
+from onboard.estimation.pixel_noise import fit_of
 from onboard.estimation.second_start import (
     MAX_ROTATION_SIGMA_DEG,
     by_profile,
@@ -77,12 +77,12 @@ def refine(problem: Problem, first: Solution, least_own: float, camera_file: Cam
     Through the camera that the first found, which counts its states from `camera_file`. None where too little is left
     to estimate the noise from.
     """
-    sigmas, states = first.residual_sigmas, view_states(problem.layout)
-    kept = np.where(sigmas > OUTLIER_SIGMAS * max(fit_of(sigmas, states), 1.0), 0.0, problem.weight)
+    sigmas, layout = first.residual_sigmas, problem.layout
+    kept = np.where(sigmas > OUTLIER_SIGMAS * max(fit_of(sigmas, layout), 1.0), 0.0, problem.weight)
     left, seen = np.count_nonzero(kept > 0, axis=0), np.count_nonzero(problem.weight > 0, axis=0)
     kept[:, left < np.maximum(2, MIN_TRACK_INLIERS * seen)] = 0.0
     # The window's own noise, not the flight's so far, is what its covariances must be built on.
-    own = fit_of(np.where(kept > 0, sigmas, np.nan), states)
+    own = fit_of(np.where(kept > 0, sigmas, np.nan), layout)
     if not np.isfinite(own):
         return None
     own = max(own, least_own)
@@ -115,7 +115,7 @@ def _adjusted(request: Request) -> Outcome:
     window = window_problem.from_request(request)
     if isinstance(window, Outcome):
         return window
-    noise = replace(request.noise, factors=request.noise.factors_at(window.start_ns))
+    noise = replace(request.noise, factors=request.noise.factors_at(window.keyframes[0].nav.stamp_ns))
     first = window.weighed(noise, window.state)
     changed = None if request.is_mount_open else moved_optics.found(window, first)
     if changed is not None:
@@ -129,22 +129,12 @@ def _adjusted(request: Request) -> Outcome:
         reason = f"little parallax: depths known to {100.0 * own_share:.0f} % only, without the terrain model"
         return Outcome(Status.LOW_PARALLAX, window.keyframes, noise, reason=reason)
     window, weighed = _with_waves(window, weighed)
-    problem = replace(
-        weighed.problem, ground_weight=ground_weight.correlated(weighed.problem, weighed.solution, window.hold)
-    )
+    hold = ground_roughness.correlated(weighed.problem, weighed.solution, window.unweighed.ground_weight)
     least_own = MIN_PIXEL_SIGMA_PX / (weighed.noise.pixel_sigma_px * weighed.noise.noise_inflation)
-    adjusted = refine(problem, weighed.solution, least_own, request.camera_file)
+    adjusted = refine(replace(weighed.problem, ground_weight=hold), weighed.solution, least_own, request.camera_file)
     if adjusted is None:
         return Outcome(Status.POOR_FIT, window.keyframes, noise, reason="nearly all measurements are outliers")
-    keyframes = window_start.with_found_rates(
-        request, window.keyframes, window.layout, window.rows, adjusted.solution.state
-    )
-    # Whether sensors contradict the pictures is judged by what earlier windows found, not by this one's own excuse.
-    earlier = request.noise.factors
-    is_own = weighed.noise.factors is not earlier
-    before = window.sensors(replace(weighed.noise, factors=earlier)) if is_own else weighed.priors
-    asked = replace(request, keyframes=keyframes, noise=weighed.noise)
-    judged = _judged(asked, window.ids, window.layout, weighed.priors, before, problem.weight, adjusted)
+    judged = _judged(request, window, weighed, adjusted)
     return replace(judged, weighed=weighed, noise=_learned(request, noise, weighed, adjusted, judged, failed))
 
 
@@ -156,7 +146,7 @@ def _without_failing_sensors(window: WindowProblem, weighed: Weighed) -> tuple[W
 
     def of(solved: Weighed, groups: Mapping[str, float]) -> list[Innovation]:
         s = solved.solution
-        return innovations(solved.priors, s.state, s.covariance, groups, noise.factors.known_by)
+        return innovations(solved.problem.priors, s.state, s.covariance, groups, noise.factors.known_by)
 
     def innovations_with(groups: Mapping[str, float]) -> list[Innovation]:
         factors = replace(noise.factors, groups=groups)
@@ -173,9 +163,9 @@ def _settled(request: Request, window: WindowProblem, weighed: Weighed) -> tuple
     """The window weighted until its own residuals ask for no other weights, and the noise that the next one is."""
     noise = weighed.noise
     for _ in range(WEIGHING_ROUNDS):
-        noise, again = _reweighed(request, weighed.noise, weighed.priors, weighed.solution.state)
+        noise, again = _reweighed(request, weighed)
         if not again:
-            noise, again = _with_own_evidence(request, noise, weighed.priors, weighed.solution)
+            noise, again = _with_own_evidence(request, noise, weighed)
         if not again:
             break
         weighed = window.weighed(noise, weighed.solution.state)
@@ -188,7 +178,7 @@ def _depth_share_without_known_ground(window: WindowProblem, weighed: Weighed) -
     Terrain gives every picture its depth. What a window without parallax then says of its tilt is no more than the
     noise of a baseline as long as its own error, which linear covariances do not show.
     """
-    if window.terrain is None and window.ranged is None:
+    if window.unweighed.terrain is None and not window.unweighed.priors:
         return 0.0
     free, state = window.without_known_ground(weighed), weighed.solution.state
     seen = np.count_nonzero(weighed.problem.weight > 0, axis=0) >= 2
@@ -198,9 +188,9 @@ def _depth_share_without_known_ground(window: WindowProblem, weighed: Weighed) -
 
 def _with_waves(window: WindowProblem, weighed: Weighed) -> tuple[WindowProblem, Weighed]:
     """The window with the vibration that its rows show, the second time by the poses and points of the first."""
-    for _ in range(WAVE_ROUNDS * (window.rows is not None)):
+    for _ in range(WAVE_ROUNDS * (window.unweighed.sweep is not None)):
         waves = row_waves.seen(weighed.problem, weighed.solution)
-        if waves is None or window.rows is None:
+        if waves is None:
             break
         window = window.vibrating(waves)
         weighed = window.weighed(weighed.noise, weighed.solution.state.with_block(window.layout, WAVES))
@@ -215,34 +205,35 @@ def _learned(
     if judged.status is Status.OK:
         start_ns, end_ns = request.keyframes[0].nav.stamp_ns, request.keyframes[-1].nav.stamp_ns
         used, solution = weighed.noise.factors, adjusted.solution
-        evidence = evidence_of(weighed.priors, solution.state, solution.covariance, used)
+        evidence = evidence_of(weighed.problem.priors, solution.state, solution.covariance, used)
         factors = factors.with_evidence(evidence, end_ns, 1.0 / len(request.keyframes))
         groups = request.noise.factors.groups
         failing = failing.after(start_ns, end_ns, {name: groups[name] for name in failed})
     return replace(noise, pixel_sigma_px=judged.noise.pixel_sigma_px, factors=factors, failing=failing)
 
 
-def _with_own_evidence(request: Request, used: Noise, priors: list[Prior], first: Solution) -> tuple[Noise, bool]:
+def _with_own_evidence(request: Request, used: Noise, weighed: Weighed) -> tuple[Noise, bool]:
     """The sensors' variances with what this window itself says of them; True if that changes its weights. (13.2)"""
-    evidence = evidence_of(priors, first.state, first.covariance, used.factors)
+    first = weighed.solution
+    evidence = evidence_of(weighed.problem.priors, first.state, first.covariance, used.factors)
     own = request.noise.factors.with_evidence(evidence, request.keyframes[-1].nav.stamp_ns)
     changed = any(abs(np.log(own.of(n) / used.factors.of(n))) > MIN_CHANGE for n in PARTS)
     return (replace(used, factors=own), True) if changed else (used, False)
 
 
-def _reweighed(request: Request, noise: Noise, priors: list[Prior], state: State) -> tuple[Noise, bool]:
+def _reweighed(request: Request, weighed: Weighed) -> tuple[Noise, bool]:
     """Stamp jitter and noise inflation from velocity and attitude residuals; True if weights changed.
 
     Stamps that are off by some milliseconds (photographs, USB) raise both residuals at once, and are allowed for first.
     What disagreement remains is the picture's: a calibration's error moves many features together, biases the poses and
     hardly shows in the features' own residuals. The sigma of all pixels is then raised until both sides agree. (6.7)
     """
-    measured = [p for p in priors if isinstance(p, VelocityPrior | AttitudePrior)]
-    if request.keyframes[0].nav.R_enu_body is None:
-        measured = [p for p in measured if isinstance(p, VelocityPrior)]
+    noise, state = weighed.noise, weighed.solution.state
+    kinds = VelocityPrior | AttitudePrior if have_attitude(request.keyframes) else VelocityPrior
+    measured = [p.evaluate(state)[0] for p in weighed.problem.priors if isinstance(p, kinds)]
     if not measured:
         return noise, False
-    rms = max(float(np.sqrt(np.mean(p.evaluate(state)[0] ** 2))) for p in measured)
+    rms = max(float(np.sqrt(np.mean(r**2))) for r in measured)
     if rms > TOLERATED_RMS:
         if noise.jitter_s < MAX_JITTER_S:
             return replace(noise, jitter_s=min(max(noise.jitter_s, 0.003) * min(rms, 3.0), MAX_JITTER_S)), True
@@ -255,86 +246,90 @@ def _reweighed(request: Request, noise: Noise, priors: list[Prior], state: State
     return noise, False
 
 
-def _judged(
-    request: Request,
-    ids: Ids,
-    layout: Layout,
-    priors: list[Prior],
-    before: list[Prior],
-    weight: Array,
-    adjusted: Adjusted,
-) -> Outcome:
-    """Whether a solution may be published. `weight` (K, P): the first solve's; `before`: priors by earlier windows."""
+def _judged(request: Request, window: WindowProblem, weighed: Weighed, adjusted: Adjusted) -> Outcome:
+    """Whether a solution may be published."""
     s, kept, own = adjusted.solution, adjusted.kept, adjusted.own
-    noise, camera, config = request.noise, request.camera, request.config
+    noise, camera, config, layout = weighed.noise, request.camera, request.config, window.layout
+    keyframes = window_start.with_found_rates(request, window.keyframes, layout, window.unweighed.sweep, s.state)
 
     def refused(status: Status, reason: str) -> Outcome:
-        return Outcome(status, request.keyframes, noise, reason=reason)
+        return Outcome(status, keyframes, noise, reason=reason)
 
-    seen, used = np.count_nonzero(weight > 0), np.count_nonzero(kept > 0)
-    fit = fit_of(s.residual_sigmas, view_states(layout))
-    sigma_px = noise.pixel_sigma_px * noise.noise_inflation * own * fit
-    depth = np.abs(
-        np.einsum("kj,kpj->kp", s.state.R_cam_enu[:, 2], s.state.points_enu_m - s.state.centres_enu_m[:, None])
-    )
-    turn = float(np.degrees(np.sqrt(np.diag(s.covariance)[layout.rotations()].max())))
-    depth_m = np.where(kept > 0, depth, np.nan)
-    median_depth = float(np.nanmedian(depth_m)) if used else np.nan
-    good = np.count_nonzero(kept > 0, axis=0) >= 2
-    if used < MOST_OF * seen or np.count_nonzero(good) < MIN_POINTS or not np.isfinite(median_depth):
-        return refused(Status.POOR_FIT, f"outliers: {seen - used} of {seen} measurements")
-    left = np.count_nonzero(kept > 0, axis=1) / np.maximum(np.count_nonzero(weight > 0, axis=1), 1)
+    used = kept > 0
+    by_picture, seen_by_picture = used.sum(axis=1), np.count_nonzero(weighed.problem.weight > 0, axis=1)
+    count, seen = by_picture.sum(), seen_by_picture.sum()
+    good = np.count_nonzero(used, axis=0) >= 2
+    if count < MOST_OF * seen or np.count_nonzero(good) < MIN_POINTS:
+        return refused(Status.POOR_FIT, f"outliers: {seen - count} of {seen} measurements")
+    left = by_picture / np.maximum(seen_by_picture, 1)
     if left.min() < MIN_VIEW_INLIERS:
         return refused(Status.POOR_FIT, f"a picture contradicts the others: {left.min():.0%} of its features agree")
+    fit = fit_of(s.residual_sigmas, layout)
+    sigma_px = noise.pixel_sigma_px * noise.noise_inflation * own * fit
     if sigma_px > MAX_FIT_SIGMAS * config.solve.pixel_sigma_px * max(1.0, camera.width_px / 640.0):
         return refused(Status.POOR_FIT, f"large residuals: {sigma_px:.1f} px")
-    scale = max(fit, 1.0) ** 2
-    still = float(np.median(_depth_sigma(s, s.covariance, good, layout))) / median_depth
-    if still * np.sqrt(scale) > MAX_DEPTH_SIGMA:
-        return refused(
-            Status.LOW_PARALLAX, f"little parallax: depths known to {100.0 * still * np.sqrt(scale):.0f} % only"
-        )
+    depth = np.einsum("kj,kpj->kp", s.state.R_cam_enu[:, 2], s.state.points_enu_m - s.state.centres_enu_m[:, None])
+    depth_m = float(np.median(np.abs(depth[used])))
+    still = float(np.median(_depth_sigma(s, s.covariance, good, layout))) / depth_m * max(fit, 1.0)
+    if still > MAX_DEPTH_SIGMA:
+        return refused(Status.LOW_PARALLAX, f"little parallax: depths known to {100.0 * still:.0f} % only")
+    turn = float(np.degrees(np.sqrt(np.diag(s.covariance)[layout.rotations()].max())))
     if turn > MAX_ROTATION_SIGMA_DEG:
         return refused(Status.LOW_PARALLAX, heading_unknown(turn))
-    moving = ground_motion(
-        request.keyframes, priors, s.state, s.covariance, ground_sigma_m_s(request.keyframes, median_depth)
-    )
+    priors = weighed.problem.priors
+    moving = ground_motion(keyframes, priors, s.state, s.covariance, ground_sigma_m_s(keyframes, depth_m))
     covariance = s.covariance + moving.covariance(moving.epoch_ns)
-    if float(np.median(_depth_sigma(s, covariance, good, layout))) / median_depth > MAX_DEPTH_SIGMA:
+    if float(np.median(_depth_sigma(s, covariance, good, layout))) / depth_m > MAX_DEPTH_SIGMA:
         # coarse and fine flow disagree too much to know the scale: water
         return refused(Status.POOR_FIT, GROUND_MOVES)
-    against = by_itself(config, request.keyframes, request.terrain, s, layout, kept, good, before)
+    # Whether sensors contradict the pictures is judged by what earlier windows found, not by this one's own excuse.
+    is_own = noise.factors is not request.noise.factors
+    before = window.problem(replace(noise, factors=request.noise.factors)).priors if is_own else priors
+    against = by_itself(config, keyframes, request.terrain, s, layout, kept, good, before)
     if against is not None:
         return refused(Status.POOR_FIT, against)
-    keyframes = tuple(
-        replace(k, R_cam_enu=R, centre_enu_m=C)
-        for k, R, C in zip(request.keyframes, s.state.R_cam_enu, s.state.centres_enu_m, strict=True)
-    )
-    plane, _ = fit_plane(s.state.points_enu_m[good])
+    solved = _solved(request, window, s, good, sigma_px, moving, keyframes, priors)
     # The tracking noise is updated slowly, so that one odd window changes little.
     learned = noise.pixel_sigma_px * (own * fit * noise.noise_inflation) ** 0.3
     noise = replace(noise, pixel_sigma_px=float(np.clip(learned, MIN_PIXEL_SIGMA_PX, 5.0)))
-    frames = tuple(k.frame for k in keyframes)
-    shared = shared_errors(config, priors, s.state, s.covariance)
-    camera = camera_states.corrected(request.camera_file, s.state.camera)
-    readout_s = window_start.readout_of(request, layout, s.state)
-    sigma_p = sigma_px * 1.177
-    # A picture between keyframes vibrates too, as nothing measures: for it that is noise.
-    unknown_px = float(np.hypot(sigma_px, camera.focal_px * row_waves.swing_rad(s.state.own[:, layout.part(WAVES)])))
-    found = frames, layout, s, ids, good, plane, unknown_px, sigma_p, keyframes, shared, moving, camera, readout_s
-    solved = Solved(*found, priors=tuple(priors))
     agreed = request.memory.compared(solved)
     remembered = by_memory(request.memory, agreed)
     if remembered is not None:
         return replace(refused(Status.POOR_FIT, remembered), rejected=solved, agreed=agreed)
-    return Outcome(Status.OK, keyframes, noise, solved, agreed=agreed)
+    return Outcome(Status.OK, solved.keyframes, noise, solved, agreed=agreed)
+
+
+def _solved(
+    request: Request,
+    window: WindowProblem,
+    s: Solution,
+    good: Mask,
+    sigma_px: float,
+    moving: GroundMotion,
+    keyframes: tuple[Keyframe, ...],
+    priors: list[Prior],
+) -> Solved:
+    """What is kept of a solution: with the keyframes' poses by it, and all that is derived from it once."""
+    state, layout = s.state, window.layout
+    posed = tuple(
+        replace(k, R_cam_enu=R, centre_enu_m=C)
+        for k, R, C in zip(keyframes, state.R_cam_enu, state.centres_enu_m, strict=True)
+    )
+    plane, _ = fit_plane(state.points_enu_m[good])
+    camera = camera_states.corrected(request.camera_file, state.camera)
+    # A picture between keyframes vibrates too, as nothing measures: for it that is noise.
+    swing_px = camera.focal_px * row_waves.swing_rad(state.own[:, layout.part(WAVES)])
+    noise_px = float(np.hypot(sigma_px, swing_px)), sigma_px * 1.177
+    shared = shared_errors(request.config, priors, state, s.covariance)
+    readout_s = window_start.readout_of(request, layout, state)
+    found = layout, s, window.ids, good, plane, *noise_px, posed, shared, moving, camera, readout_s
+    return Solved(*found, priors=tuple(priors))
 
 
 def _depth_sigma(s: Solution, covariance: Array, good: Mask, layout: Layout) -> Array:
     """One sigma (m) of each good point along the newest keyframe's axis, relative to that keyframe."""
     axis = s.state.R_cam_enu[-1, 2]
-    gain = s.point_gain[good] * -1.0
-    M = np.einsum("i,pid->pd", axis, gain)
+    M = -np.einsum("i,pid->pd", axis, s.point_gain[good])
     M[:, layout.centre(layout.keyframes - 1)] -= axis
     own = np.einsum("i,pij,j->p", axis, s.point_covariance[good], axis)
     out: Array = np.sqrt(np.maximum(np.sum((M @ covariance) * M, axis=1) + own, 0.0))

@@ -366,7 +366,7 @@ def bundle_problem(
             )
         )
     weight = np.where(seen, 1.0 / sigma, 0.0)
-    problem = Problem(layout, xy, weight, priors, reference, np.full(P, 1.0 / ground_m))
+    problem = Problem(layout, xy, weight, priors, reference, 1.0 / ground_m)
     return Drawn(replace(problem, camera=lens, camera_taken=np.zeros_like(sigma_lens)), truth)
 
 

@@ -29,7 +29,6 @@ def residuals(problem: Problem, state: State) -> Array:
         by_camera = by_states(problem.camera, predicted[:, 0], predicted[:, 1])
         r = r - np.einsum("kcip,c->kip", by_camera, state.camera - problem.camera_taken)
     r = r * problem.weight[:, None]
-    assert problem.ground_weight is not None
     relief = ground_plane(state.points_enu_m, problem.reference_enu_m, state.plane)[0] * problem.ground_weight
     if problem.parallax is not None:
         seen_larger = parallax_of(state.centres_enu_m, problem.reference_enu_m, state.plane) / problem.parallax
@@ -116,7 +115,7 @@ def test_covariance_is_the_scatter_of_the_errors() -> None:
         ep = s.state.points_enu_m - drawn.truth.points_enu_m
         points.append(np.mean(np.einsum("pi,pij,pj->p", ep, np.linalg.inv(cov), ep)) / 3)
         cost.append(2.0 * s.cost)
-        measured = 2 * np.count_nonzero(drawn.problem.weight) + len(drawn.problem.ground_weight)  # type: ignore[arg-type]
+        measured = 2 * np.count_nonzero(drawn.problem.weight) + drawn.problem.weight.shape[1]
         priors = sum(len(prior.evaluate(s.state)[0]) for prior in drawn.problem.priors)
         freedom += measured + priors - layout.size - 3 * drawn.truth.points_enu_m.shape[0]
     # One sigma of the means: sqrt(2 / (36 * 120)) = 0.022 and sqrt(2 / (11 * 120)) = 0.039; points of one run share

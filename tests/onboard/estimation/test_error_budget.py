@@ -121,9 +121,9 @@ def errors_of(name: str, problem: Problem, rng: np.random.Generator) -> Problem:
         )
         return replace(problem, xy=problem.xy + noise)
     if name == Cause.RELIEF:
-        assert problem.ground_weight is not None and problem.terrain is None
+        assert problem.terrain is None
         return replace(
-            problem, terrain=Bumps(SMALL * rng.standard_normal(len(problem.ground_weight)) / problem.ground_weight)
+            problem, terrain=Bumps(SMALL * rng.standard_normal(problem.weight.shape[1]) / problem.ground_weight)
         )
     return replace(problem, priors=[changed(p) for p in problem.priors])
 

@@ -113,7 +113,7 @@ def test_a_refusal_without_attitude_does_not_speak_of_attitude() -> None:
     request = scene.window().prepare()
     outcome = _adjusted(request)
     assert outcome.solved is not None and outcome.weighed is not None
-    solved, priors = outcome.solved, outcome.weighed.priors
+    solved, priors = outcome.solved, outcome.weighed.problem.priors
     kept = np.isfinite(solved.solution.residual_sigmas).astype(float)
     tight = [replace(p, whitener=100.0 * p.whitener) if isinstance(p, AttitudePrior) else p for p in priors]
     against = by_itself(SEED_SENSORS, solved.keyframes, None, solved.solution, solved.layout, kept, solved.good, tight)
