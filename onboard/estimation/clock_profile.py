@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from contract.rotations import log_so3
 from onboard.geometry.robust import OUTLIER_SIGMAS, robust_cost
+from onboard.navigation.limits import CLEAR
 
 Array = NDArray[np.float64]
 
 STEP_S = 0.05
 NEAR_S = 1.5 * STEP_S  # a window's derivative holds over as much of a roll
 REACH_S = 0.5  # at least
-CLEAR = 2.0 * float(np.log(1000.0))  # of chi-square: a thousand to one
 MIN_PICTURES = 4
 COMMON = 4  # mount and heading, which every picture shares
 ROUNDS = 4

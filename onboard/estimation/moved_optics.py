@@ -30,7 +30,7 @@ from onboard.estimation.window_problem import WindowProblem, approximate
 from onboard.estimation.window_request import Noise, Outcome, Request, Weighed
 
 MOVED = (Status.STABILISED, Status.ZOOMED)
-FALSE_ALARM = 1e-9  # that chance makes as much of a hypothesis
+MOVED_BY_CHANCE = 1e-9  # that chance makes as much of a hypothesis
 SET_ASIDE = 1e6  # on the variance of a sensor that is supposed to say nothing
 OPEN_LENS = {FOCAL_LENGTH: 0.3, K1: 0.1}  # one sigma of what all pictures share, under every hypothesis
 MOST_STARTS = 4
@@ -53,7 +53,7 @@ class Excess:
 
     def exceeds_chance(self, explained: float = 0.0) -> bool:
         """Whether so many states of nothing would not fall by what something else has not `explained`. (19.3)"""
-        return self.gain - explained > float(chdtri(self.freedom, FALSE_ALARM))
+        return self.gain - explained > float(chdtri(self.freedom, MOVED_BY_CHANCE))
 
 
 def found(window: WindowProblem, weighed: Weighed) -> Outcome | None:

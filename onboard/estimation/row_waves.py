@@ -14,6 +14,7 @@ from scipy.special import chdtri
 
 from onboard.estimation.bundle_adjustment import Problem, Solution, image_residuals
 from onboard.estimation.factors import WAVES
+from onboard.navigation.limits import FALSE_ALARM
 
 Array = NDArray[np.float64]
 
@@ -23,7 +24,6 @@ ROWS = 256  # bands that a picture's rows are gathered into: thirteen to the sho
 _PHASE = 2.0 * np.pi * CYCLES[:, None] * ((np.arange(ROWS) + 0.5) / ROWS - 0.5)
 _TABLE, _TABLE_TWICE = np.exp(1j * _PHASE), np.exp(2j * _PHASE)
 DRIFT = 0.75  # swings by which one picture's may differ from the window's: engines change their speed
-FALSE_ALARM = 1e-6  # that chance shows as large a wave, at one of some twenty places that do not depend on each other
 
 
 @dataclass(frozen=True, eq=False)

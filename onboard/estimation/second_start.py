@@ -23,7 +23,6 @@ from contract.feature_set import Status
 from contract.rotations import exp_so3, log_so3, right_jacobian_inverse
 from onboard.estimation.boresight import PlatformEstimate
 from onboard.estimation.bundle_adjustment import Problem, Solution
-from onboard.estimation.clock_profile import CLEAR
 from onboard.estimation.factors import Layout, Prior, RangePrior, State
 from onboard.estimation.keyframe import Keyframe, have_attitude, turned
 from onboard.estimation.pixel_noise import fit_of
@@ -36,7 +35,7 @@ from onboard.estimation.window_request import Outcome, Request, Weighed
 from onboard.geometry.planar_ambiguity import mirrored
 from onboard.geometry.plane_fit import fit_plane
 from onboard.geometry.robust import robust_cost
-from onboard.navigation.limits import SURE_SIGMAS
+from onboard.navigation.limits import CLEAR, SURE_SIGMAS
 from onboard.navigation.navigator import NavState
 
 Array = NDArray[np.float64]

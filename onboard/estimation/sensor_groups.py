@@ -18,10 +18,10 @@ from scipy.special import chdtri, fdtri
 
 from onboard.estimation.factors import Prior, State, of_sensors
 from onboard.estimation.sensor_table import BY_NAME
+from onboard.navigation.limits import FALSE_ALARM
 
 Array = NDArray[np.float64]
 
-FALSE_ALARM = 1e-6  # share of consistent windows in which a group is held to fail
 # Share of a residual's variance that the fit leaves: where the others know a tenth of what the sensor knows, or less,
 # they do not contradict it, and what remains there is the solver's tolerance.
 LEAST_REDUNDANCY = 0.01

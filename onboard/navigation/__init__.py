@@ -4,7 +4,8 @@ Public:
 
 - `attitude_interpolation`: `RATE_WINDOW_NS`
 - `gimbal`: `MountHypothesis`
-- `limits`: `MEMORY_NS`, `LATE_NS`, `RECENT_NS`, `PATIENCE_NS`, `LONG_NS`, `LIKELY_SIGMAS`, `SURE_SIGMAS`, `MOST_OF`
+- `limits`: `MEMORY_NS`, `LATE_NS`, `RECENT_NS`, `PATIENCE_NS`, `LONG_NS`, `LIKELY_SIGMAS`, `SURE_SIGMAS`,
+  `FALSE_ALARM`, `CLEAR`, `MOST_OF`
 - `navigator`: `NavState`, `Navigation`
 - `position_interpolation`: `Displacement`
 - `position_slip`: `DYNAMIC_TIME_S`

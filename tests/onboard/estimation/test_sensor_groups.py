@@ -23,7 +23,6 @@ from onboard.estimation.factors import (
 from onboard.estimation.platform_states import STATES
 from onboard.estimation.sensor_groups import (
     FADING_S,
-    FALSE_ALARM,
     Failing,
     Innovation,
     contradictions,
@@ -31,6 +30,7 @@ from onboard.estimation.sensor_groups import (
     innovations,
 )
 from onboard.estimation.sensor_table import HEADING, POSITION, SENSORS, TILT, VELOCITY
+from onboard.navigation.limits import FALSE_ALARM
 
 Array = NDArray[np.float64]
 GROUPS = tuple(s.name for s in SENSORS)
