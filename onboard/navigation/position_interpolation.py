@@ -64,7 +64,7 @@ class Path(Series[Position]):
         left, right = bracket
         a, b = self.values[left], self.values[right]
         enu, above_home = self._place(left, right, moment_ns), a.height_above_home_m
-        if above_home is not None and left != right:
+        if above_home is not None:
             above_home += float(enu[2] - a.enu_m[2])  # home's own height is a constant
         if a.velocity_enu_m_s is None or b.velocity_enu_m_s is None:
             return Position(enu, None, above_home)

@@ -63,6 +63,19 @@ def test_a_straight_leg_and_positions_that_come_often_are_taken_as_they_are(spec
     assert off.max() < 0.03 and stated.max() < 0.03
 
 
+def test_past_the_last_position_the_height_above_home_climbs_with_the_place() -> None:
+    climbing = Path(max_gap_s=2.5)
+    for t in (0.0, 0.2):
+        climbing.insert(
+            ns(t), Position(np.array([0.0, 0.0, 500.0 + 5.0 * t]), np.array([0.0, 0.0, 5.0]), 40.0 + 5.0 * t)
+        )
+    for t in (0.1, 0.2, 0.5):
+        place = climbing.at(ns(t))
+        assert isinstance(place, Position) and place.height_above_home_m is not None
+        assert place.enu_m[2] == pytest.approx(500.0 + 5.0 * t)
+        assert place.height_above_home_m == pytest.approx(40.0 + 5.0 * t), "home stays where it is"
+
+
 def test_at_a_position_itself_nothing_is_added() -> None:
     assert not flight(TURNS[1], 2.0)[1].joined_at(ns(8.0)).between_m.any()
 
