@@ -113,7 +113,7 @@ class RunStatistics:
         self._outcomes: Counter[Status] = Counter()
         self._apart_s: deque[float] = deque(maxlen=REMEMBERED)
         self._overlap: deque[tuple[float, float]] = deque(maxlen=REMEMBERED)
-        self._breaks: Counter[Break] = Counter()
+        self._parted_by: deque[Break | None] = deque(maxlen=REMEMBERED)  # of each of these
         self._has_attitude = False
         self._first_enu_m: Array | None = None  # of what one window may hold
         self._span_m = 0.0  # the farthest travelled within one
@@ -140,8 +140,7 @@ class RunStatistics:
         """Where a picture was taken, and the one before it; and what parts the two, if anything does."""
         if last is not None:
             self._apart_s.append((nav.stamp_ns - last.stamp_ns) / 1e9)
-        if parted_by is not None:
-            self._breaks[parted_by] += 1
+            self._parted_by.append(parted_by)
         if self._first_enu_m is None or parted_by is not None:
             self._first_enu_m = nav.position_enu_m
         self._span_m = max(self._span_m, float(np.linalg.norm(nav.position_enu_m - self._first_enu_m)))
@@ -212,6 +211,10 @@ class RunStatistics:
             f"too short: {self.keyframes} keyframes within {self._span_m:.0f} m travelled",
             f"at least {MIN_KEYFRAMES} keyframes are needed, each a tenth of a picture farther on: fly on",
         )
+
+    @property
+    def _breaks(self) -> Counter[Break]:
+        return Counter(b for b in self._parted_by if b is not None)
 
     def _too_far_apart(self) -> Shortfall | None:
         if 3 * self._breaks.total() >= len(self._apart_s):
