@@ -12,9 +12,11 @@ from __future__ import annotations
 import json
 import sys
 import time
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
-from benchmarks.short_flight import Leg, out_and_back
 from contract.camera import Camera
 from contract.wire.codec import encode
 from onboard.config.schema import load_config
@@ -23,22 +25,25 @@ from onboard.pipeline.pipeline import Pipeline
 from onboard.replay.runner import Flight
 
 ENDLESS = 1_000_000
+# The leg out and back was in `flown` until 59c1c5b.
+short_flight = import_module("benchmarks.short_flight" if find_spec("benchmarks.short_flight") else "benchmarks.flown")
 
 
-def read(folder: Path) -> Leg:
+def read(folder: Path) -> Any:  # a `Leg`
     """A simulated flight, pictures and telemetry between the first picture and the last."""
     config, camera = load_config(folder / "config.toml"), Camera.from_json(folder / "camera.json")
     flight = Flight.open(config, camera, folder / "frames", folder / "telemetry.tlog", folder / "stamps.csv")
     frames = list(flight.frames.frames())
     first, last = frames[0].stamp_ns, frames[-1].stamp_ns
     stated = sorted(flight.telemetry.events, key=lambda e: e.stamp_ns)
-    return Leg(config, camera, frames, [e for e in stated if not isinstance(e, Frame) and first <= e.stamp_ns <= last])
+    inside = [e for e in stated if not isinstance(e, Frame) and first <= e.stamp_ns <= last]
+    return short_flight.Leg(config, camera, frames, inside)
 
 
 def main() -> None:
     simulated = read(Path(sys.argv[1]))
     pipeline = Pipeline(simulated.config, simulated.camera)
-    events = out_and_back(simulated, ENDLESS)
+    events = short_flight.out_and_back(simulated, ENDLESS)
     before: dict[str, float] = {}
     for line in sys.stdin:
         left = int(line)
