@@ -240,8 +240,10 @@ class PathPrior(SensorPrior):
         at, by_rotation = state.antennas_enu_m(self.lever_cam_m)
         moved_s = state.platform[OFFSET] + state.platform[self.delay] - self.offset_s
         error = np.diff(at, self.order, axis=0) - self.measured - self.rate * moved_s[:, None]
-        J = self._jacobian.copy()
-        J[:, :, self.layout.rotations()] += self._by_place[..., None] * by_rotation.transpose(1, 0, 2)[:, None]
+        J = self._jacobian
+        if self.lever_cam_m.any():  # a copy otherwise is half of this, which is the inner loop
+            J = J.copy()
+            J[:, :, self.layout.rotations()] += self._by_place[..., None] * by_rotation.transpose(1, 0, 2)[:, None]
         return (self.whitener @ error.T[:, :, None])[..., 0], J
 
     @cached_property
