@@ -25,7 +25,7 @@ from onboard.pipeline.pipeline import Pipeline
 from onboard.replay.runner import Flight
 
 ENDLESS = 1_000_000
-# The leg out and back was in `flown` until 59c1c5b.
+# The leg out and back, by the name that its module had until 59c1c5b too.
 short_flight = import_module("benchmarks.short_flight" if find_spec("benchmarks.short_flight") else "benchmarks.flown")
 
 

@@ -225,7 +225,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     seeds = [int(word) for word in arguments.seeds.split(",")]
     specs = [replace(flight_spec(arguments.seconds, seed), camera=camera, rate_hz=arguments.rate) for seed in seeds]
     print(
-        f"{len(seeds)} path(s) of {arguments.seconds:g} s with turns, each flown by {arguments.autopilots} "
+        f"{len(seeds)} path(s) of {arguments.seconds:g} s with turns, each recorded by {arguments.autopilots} "
         f"autopilot(s), {arguments.size} at {arguments.rate:g} Hz\n"
     )
     print(
