@@ -241,7 +241,7 @@ class PathPrior(SensorPrior):
         moved_s = state.platform[OFFSET] + state.platform[self.delay] - self.offset_s
         error = np.diff(at, self.order, axis=0) - self.measured - self.rate * moved_s[:, None]
         J = self._jacobian
-        if self.lever_cam_m.any():  # a copy otherwise is half of this, which is the inner loop
+        if self.lever_cam_m.any():  # else nothing is added, and this is the inner loop
             J = J.copy()
             J[:, :, self.layout.rotations()] += self._by_place[..., None] * by_rotation.transpose(1, 0, 2)[:, None]
         return (self.whitener @ error.T[:, :, None])[..., 0], J
