@@ -40,6 +40,7 @@ from onboard.config.schema import parse_config
 from onboard.events.types import Frame, PositionFix
 from simulation.session import fly
 from tests.contract.sets import plain_set
+from tests.left_out import NO_PROGRAM
 from tests.rest_long import rest_long
 from tests.rtsp import drifting_ground, number_of
 
@@ -116,7 +117,7 @@ def test_the_flight_in_turns_flies_with_the_code_of_the_commit_that_it_is_compar
     """Modules have other names since; before, the benchmark ended with a broken pipe."""
     has_history = ["git", "cat-file", "-e", f"{against.BASE}^{{commit}}"]
     if subprocess.run(has_history, cwd=against.CHECKOUT, check=False, capture_output=True).returncode:
-        pytest.skip(f"left out: no commit {against.BASE} in this checkout's history")
+        pytest.skip(f"{NO_PROGRAM} of commit {against.BASE} in this checkout's history; git fetch --unshallow")
     leg(3.0, 8.0, tmp_path / "leg")
     [flight] = [path.parent for path in (tmp_path / "leg").rglob("camera.json")]
     for code in (against.CHECKOUT, against.unpacked(against.BASE, tmp_path / "base")):
