@@ -33,7 +33,6 @@ from onboard.geometry.terrain_grid import Terrain
 Array = NDArray[np.float64]
 
 _BEHIND = 100.0  # the residual, in sigmas, of a point behind a camera that saw it
-_MAX_LEAP = 0.5  # of its least depth: the longest step of a point
 
 # The plane's whitened residuals: their columns (G,), `Problem.ground_columns`, by point (3, P), by columns (G, P).
 _Ground = tuple[NDArray[np.intp], Array, Array]
@@ -327,12 +326,10 @@ def solve(
             damping = max(damping * 10.0, 1e-6)
             continue
         dp = -np.einsum("jip,jp->ip", reduced.root, reduced.zb + np.tensordot(dc, reduced.Z, 1))
-        # A point with little parallax may be sent behind the cameras, from where no derivative brings it back.
-        nearest = np.where(seen, at.depth, np.inf).min(axis=0)
-        dp *= np.minimum(1.0, _MAX_LEAP * np.maximum(nearest, 1.0) / np.maximum(np.sqrt((dp * dp).sum(axis=0)), 1e-12))
         expected = -0.5 * float(dc @ system.bc + np.sum(dp * system.bp))
         trial = _residuals(problem, at.state.retract(dc, dp.T), scale)
-        is_better = trial.cost <= at.cost  # not where it is no number
+        gained = at.cost - trial.cost
+        is_better = gained >= 0.0  # not where it is no number
         at = trial if is_better else at
         if expected <= tolerance * (at.cost + 1e-12) or (not is_better and np.abs(dc).max() < 1e-9):
             # So small a step changes no derivative: what was reduced before it serves the covariances.
@@ -340,7 +337,8 @@ def solve(
             break
         if is_better:
             system = _linearise(problem, at)
-            damping, growth = (0.2 * damping if damping > 1e-8 else 0.0), 2.0
+            damping *= max(1.0 / 3.0, 1.0 - (2.0 * gained / expected - 1.0) ** 3) * (damping > 1e-8)
+            growth = 2.0
         else:
             damping, growth = max(damping, 1e-8) * growth * 2.0, growth * 2.0
             if damping > 1e9:

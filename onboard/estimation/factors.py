@@ -30,6 +30,7 @@ Parts = tuple[Mapping[str, Array], ...]
 # that its rows swing by (rad), how far its frame is shifted (focal lengths), by what logarithm its lens is longer.
 RATES, WAVES, SHIFT, ZOOM = "rates", "waves", "shift", "zoom"
 OWN_STATES = {RATES: 3, WAVES: 6, SHIFT: 2, ZOOM: 1}
+MAX_LEAP = 0.5  # a step takes a point to twice its distance at most
 
 
 @dataclass(frozen=True)
@@ -117,14 +118,18 @@ class State:
         return self.platform[STATES:]
 
     def retract(self, dc: Array, dp: Array) -> State:
-        """Apply a step: dc (Layout.size,), dp (P, 3)."""
+        """Apply a step: dc (Layout.size,), dp (P, 3) as a step of inverse distances. Section 6."""
         K, shared = len(self.R_cam_enu), len(self.platform)
         pose, platform, plane, own = np.split(dc, np.cumsum([6 * K, shared, PLANE]))
         pose = pose.reshape(K, 6)
+        middle = self.centres_enu_m.mean(axis=0)
+        rays = self.points_enu_m - middle
+        along = np.einsum("pi,pi->p", rays, dp) / np.maximum(np.einsum("pi,pi->p", rays, rays), 1e-12)
+        along = np.minimum(along, MAX_LEAP)[:, None]
         return State(
             exp_so3(pose[:, :3]) @ self.R_cam_enu,
             self.centres_enu_m + pose[:, 3:],
-            self.points_enu_m + dp,
+            middle + (rays + dp - along * rays) / (1.0 - along),
             self.platform + platform,
             self.plane + plane,
             self.own + own.reshape(self.own.shape),
