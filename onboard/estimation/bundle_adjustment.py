@@ -305,7 +305,7 @@ def solve(
     state: State,
     *,
     scale: float | None = 3.0,
-    max_iterations: int = 25,
+    max_iterations: int = 50,
     tolerance: float = 1e-6,
 ) -> Solution:
     """Minimise (6.1) from `state`. `scale` is the Cauchy loss's, in sigmas; None for plain least squares.
@@ -328,8 +328,7 @@ def solve(
         dp = -np.einsum("jip,jp->ip", reduced.root, reduced.zb + np.tensordot(dc, reduced.Z, 1))
         expected = -0.5 * float(dc @ system.bc + np.sum(dp * system.bp))
         trial = _residuals(problem, at.state.retract(dc, dp.T), scale)
-        gained = at.cost - trial.cost
-        is_better = gained >= 0.0  # not where it is no number
+        is_better = trial.cost <= at.cost  # not where it is no number
         at = trial if is_better else at
         if expected <= tolerance * (at.cost + 1e-12) or (not is_better and np.abs(dc).max() < 1e-9):
             # So small a step changes no derivative: what was reduced before it serves the covariances.
@@ -337,8 +336,7 @@ def solve(
             break
         if is_better:
             system = _linearise(problem, at)
-            damping *= max(1.0 / 3.0, 1.0 - (2.0 * gained / expected - 1.0) ** 3) * (damping > 1e-8)
-            growth = 2.0
+            damping, growth = (0.2 * damping if damping > 1e-8 else 0.0), 2.0
         else:
             damping, growth = max(damping, 1e-8) * growth * 2.0, growth * 2.0
             if damping > 1e9:

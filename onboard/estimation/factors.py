@@ -118,18 +118,22 @@ class State:
         return self.platform[STATES:]
 
     def retract(self, dc: Array, dp: Array) -> State:
-        """Apply a step: dc (Layout.size,), dp (P, 3) as a step of inverse distances. Section 6."""
+        """Apply a step: dc (Layout.size,), dp (P, 3), which is what points move by to first order. Section 6."""
         K, shared = len(self.R_cam_enu), len(self.platform)
         pose, platform, plane, own = np.split(dc, np.cumsum([6 * K, shared, PLANE]))
         pose = pose.reshape(K, 6)
+        # Points turn with the views about their middle, and go the rest of the step in their inverse distances.
+        turn = -np.einsum("kji,kj->i", self.R_cam_enu, pose[:, :3]) / K
         middle = self.centres_enu_m.mean(axis=0)
         rays = self.points_enu_m - middle
-        along = np.einsum("pi,pi->p", rays, dp) / np.maximum(np.einsum("pi,pi->p", rays, rays), 1e-12)
-        along = np.minimum(along, MAX_LEAP)[:, None]
+        rest = dp - np.cross(turn, rays)
+        along = np.einsum("pi,pi->p", rays, rest) / np.maximum(np.einsum("pi,pi->p", rays, rays), 1e-12)
+        moved = rays + rest - along[:, None] * rays
+        moved /= (1.0 - np.minimum(along, MAX_LEAP))[:, None]
         return State(
             exp_so3(pose[:, :3]) @ self.R_cam_enu,
             self.centres_enu_m + pose[:, 3:],
-            middle + (rays + dp - along * rays) / (1.0 - along),
+            middle + moved @ exp_so3(turn).T,
             self.platform + platform,
             self.plane + plane,
             self.own + own.reshape(self.own.shape),

@@ -26,14 +26,13 @@ from onboard.estimation.platform_states import STATES
 from onboard.estimation.second_start import by_sensors, cost_by_point
 from onboard.estimation.sensor_groups import contradictions, innovations
 from onboard.estimation.sensor_table import HEADING, TILT
-from onboard.estimation.window_problem import WindowProblem, approximate
+from onboard.estimation.window_problem import WindowProblem
 from onboard.estimation.window_request import Noise, Outcome, Request, Weighed
 
 MOVED = (Status.STABILISED, Status.ZOOMED)
 MOVED_BY_CHANCE = 1e-9  # that chance makes as much of a hypothesis
 SET_ASIDE = 1e6  # on the variance of a sensor that is supposed to say nothing
 OPEN_LENS = {FOCAL_LENGTH: 0.3, K1: 0.1}  # one sigma of what all pictures share, under every hypothesis
-MOST_STARTS = 4
 MAX_VARIANCE = 3.0  # of pixels, above which a hypothesis leaves too much to explain anything
 ATTITUDE = "attitude"
 
@@ -136,13 +135,13 @@ class Hypotheses:
         hold = ground_roughness.correlated(weighed.problem, weighed.solution, stated.unweighed.ground_weight)
         stated = stated.with_problem(ground_weight=hold)
         self._closed, self._first = window.with_problem(ground_weight=hold), weighed.solution
-        self._noise, self._lens = noise, settled(stated, noise, stated.state)
+        self._noise, self._lens = noise, stated.weighed(noise, stated.state).solution
         self._window, self._none = with_open_rows(stated, noise, self._lens)
         self.solved: dict[str, Solution] = {}
 
     def lens(self) -> tuple[Excess, float]:
         """What the open lens explains that the camera file's does not, and the logarithm of its focal length."""
-        gain = 2.0 * (settled(self._closed, self._noise, self._first.state).cost - self._lens.cost)
+        gain = 2.0 * (self._closed.weighed(self._noise, self._first.state).solution.cost - self._lens.cost)
         return excess_of(gain, self._lens, len(OPEN_LENS)), float(self._lens.state.camera[FOCAL_LENGTH])
 
     def rows(self) -> Excess:
@@ -153,7 +152,7 @@ class Hypotheses:
         """What attitudes explain by being wrong; `state`: to begin from."""
         factors = replace(self._noise.factors, groups=dict.fromkeys((TILT, HEADING), SET_ASIDE))
         noise = replace(self._noise, factors=factors)
-        return self._explained(ATTITUDE, settled(self._window, noise, state or self._none.state), 3)
+        return self._explained(ATTITUDE, self._window.weighed(noise, state or self._none.state).solution, 3)
 
     def turned_instead(self) -> Excess:
         """The same, begun where shifts have led, each taken for the rotation that moves a picture's middle as far."""
@@ -168,7 +167,7 @@ class Hypotheses:
         state = self._none.state.with_block(tried.layout, block)
         if block == SHIFT:
             state = self._hiding(self.solved[ATTITUDE].state, state)
-        return self._explained(block, settled(tried, self._noise, state), OWN_STATES[block])
+        return self._explained(block, tried.weighed(self._noise, state).solution, OWN_STATES[block])
 
     def _hiding(self, turned: State, state: State) -> State:
         """A start for shifts: the frames hide by how much the pictures' rotations part from the attitudes'. (19.5)"""
@@ -186,28 +185,16 @@ class Hypotheses:
         return excess_of(2.0 * (self._none.cost - solution.cost), solution, states * pictures)
 
 
-def settled(window: WindowProblem, noise: Noise, state: State) -> Solution:
-    """Adjusted until it stays where it is: attitudes may be wrong by more than one adjustment goes."""
-    problem = window.problem(noise)
-    solution = approximate(problem, state)
-    for _ in range(MOST_STARTS):
-        again = approximate(problem, solution.state)
-        if again.cost > solution.cost - 1.0:
-            break
-        solution = again
-    return solution
-
-
 def with_open_rows(window: WindowProblem, noise: Noise, solution: Solution) -> tuple[WindowProblem, Solution]:
     """The window, whose own solution is given, with rates and waves of its rows that nothing measures; its solution."""
     rates = window.with_rows_in_turn()
     state = solution.state if rates.layout == window.layout else solution.state.with_block(rates.layout, RATES)
-    solution = settled(rates, noise, state)
+    solution = rates.weighed(noise, state).solution
     waves = row_waves.seen(rates.problem(noise), solution)
     if waves is None:
         return rates, solution
     vibrating = rates.vibrating(waves)
-    return vibrating, settled(vibrating, noise, solution.state.with_block(vibrating.layout, WAVES))
+    return vibrating, vibrating.weighed(noise, solution.state.with_block(vibrating.layout, WAVES)).solution
 
 
 def with_open_lens(request: Request) -> Request:

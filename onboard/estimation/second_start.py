@@ -100,12 +100,12 @@ def is_far_worse(found: Outcome, other: Request) -> bool:
 
 
 def likelier(request: Request, one: Outcome, two: Outcome) -> Outcome:
-    """Which of the outcomes from two starts stands: the only accepted one, the clearly likelier one, or a refusal.
+    """Which of the outcomes from two starts stands: the clearly likelier one, accepted or not, or a refusal of both.
 
     What only the path's start finds, without anything to be compared with, needs an earlier window to confirm it: a
     path is no attitude.
     """
-    if two.solved is None or two.weighed is None:
+    if two.weighed is None or (one.solved is None and two.solved is None):
         return one
     if one.weighed is None:
         return two if two.agreed is not None or have_attitude(request.keyframes) else one
@@ -116,8 +116,8 @@ def likelier(request: Request, one: Outcome, two: Outcome) -> Outcome:
         for w in (one.weighed, two.weighed)
     )
     preferred = _preferred(first, second, problem)
-    if preferred or one.solved is None:
-        return one if preferred == 1 else two
+    if preferred or one.solved is None or two.solved is None:
+        return one if preferred == 1 or (preferred == 0 and two.solved is None) else two
     at1, at2 = one.solved.common(two.solved)
     miss_m = np.linalg.norm(first.state.points_enu_m[at1] - second.state.points_enu_m[at2], axis=1)
     gain_of = one.solved.solution.point_gain[at1]

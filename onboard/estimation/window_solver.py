@@ -276,6 +276,8 @@ def _judged(request: Request, window: WindowProblem, weighed: Weighed, adjusted:
     turn = float(np.degrees(np.sqrt(np.diag(s.covariance)[layout.rotations()].max())))
     if turn > MAX_ROTATION_SIGMA_DEG:
         return refused(Status.LOW_PARALLAX, heading_unknown(turn))
+    if not s.converged:
+        return refused(Status.POOR_FIT, f"the adjustment found no minimum in {s.iterations} steps")
     priors = weighed.problem.priors
     moving = ground_motion(keyframes, priors, s.state, s.covariance, ground_sigma_m_s(keyframes, depth_m))
     covariance = s.covariance + moving.covariance(moving.epoch_ns)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from contract.feature_set import FeatureSet, Status
 from contract.locate import Fix, Locator
 from contract.wire.codec import decode, encode
 from onboard.config.schema import parse_config
+from onboard.estimation.platform_states import STATES
 from onboard.estimation.solver_executor import Done, Inline, Promise
 from onboard.estimation.window_request import Request
 from onboard.events.types import Event, Frame, PositionFix
@@ -138,6 +140,20 @@ def test_a_camera_mounted_askew_is_not_taken_for_moved_optics_without_attitude()
     found = simulated(recorded("plane_turn", 4.0, 36.0, config, mount_error_deg=(3.0, 0.0, 0.0)))
     assert not MOVED & set(found.statuses), found.statuses
     assert found.statuses[Status.OK] > 0.7 * found.statuses.total(), found.statuses
+
+
+@pytest.mark.parametrize("seed", rest_long([365051, 365053, 365056]))
+def test_the_first_windows_of_a_copter_on_camera_and_gps_are_not_called_zoomed(shared_data: Path, seed: int) -> None:
+    """It climbs, then flies sideways: until its orientation is found, pictures part by more than a focal length.
+
+    Called zoomed, it was refused for a minute by a focal length that was then open to anything.
+    """
+    config = parse_config('[solve]\nattitude = "none"\nvelocity = false')
+    flight = ReplayedFlight(Scene(str(shared_data / "sitl" / "copter_survey"), config, 30.0, 240.0, wander_m=1.5), seed)
+    found = simulated(flight, events=takewhile(lambda e: not (isinstance(e, Frame) and e.index > 100), flight.events()))
+    assert not MOVED & set(found.statuses), found.statuses
+    assert len(found.pipeline.window.platform.mean) == STATES  # the lens stays as its file has it
+    assert found.statuses[Status.OK] > 6 and max(found.errors_in(0.0, 60.0)) < 1.5, found.statuses
 
 
 @pytest.mark.long

@@ -81,6 +81,22 @@ def test_with_the_robust_loss_a_window_as_the_daemon_solves_it_also_gets_there()
     assert np.abs(second.state.centres_enu_m - drawn.truth.centres_enu_m).max() < 0.01
 
 
+@pytest.mark.parametrize("views", [3, 4, 6])
+def test_a_first_window_turned_by_twenty_degrees_about_any_axis_reaches_its_minimum(views: int) -> None:
+    """Depth and tilt change together along a bent valley; steps that are linear in places creep along it."""
+    steps = []
+    for seed in range(900, 912):
+        rng = np.random.default_rng(seed)
+        drawn = bundle_problem(rng, views, 70, attitude=False)
+        axis = rng.standard_normal(3)
+        start = turned_start(drawn, np.radians(20.0) * axis / np.linalg.norm(axis))
+        found = solve(drawn.problem, start, scale=3.0, tolerance=3e-4)
+        lowest = solve(drawn.problem, drawn.truth, scale=3.0, tolerance=3e-4)
+        assert found.converged and found.cost < 1.01 * lowest.cost + 0.5, seed
+        steps.append(found.iterations)
+    assert max(steps) <= 12
+
+
 @pytest.mark.parametrize("attitude", [True, False])
 def test_a_window_that_is_nearly_solved_needs_four_steps_also_where_something_is_hardly_known(attitude: bool) -> None:
     """Of GPS alone the roll is known to degrees: damped by its large diagonal it would creep along for dozens."""

@@ -189,7 +189,7 @@ def test_reprojection_by_rotation_and_centre_is_its_derivative(seed: int) -> Non
         own = expected[k, :, :, 6 * k : 6 * k + 6]
         assert by_view[k] == pytest.approx(own, rel=1e-6, abs=1e-8)
         others = np.delete(expected[k], np.s_[6 * k : 6 * k + 6], axis=-1)
-        assert not others.any()
+        assert others == pytest.approx(0.0, abs=1e-8)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -319,15 +319,37 @@ def test_retraction_composes_as_the_error_says() -> None:
     rng = np.random.default_rng(1)
     state = sampled_state(rng)
     step = 0.01 * rng.standard_normal(Layout(K).size)
-    moved = state.retract(step, np.ones((P, 3)))
+    moved = state.retract(step, np.full((P, 3), 1.0))
     turn = log_so3(moved.R_cam_enu @ state.R_cam_enu.transpose(0, 2, 1))
     assert turn == pytest.approx(step[Layout(K).rotations()], abs=1e-12)
     assert moved.centres_enu_m - state.centres_enu_m == pytest.approx(step[Layout(K).centres()], abs=1e-12)
-    assert moved.points_enu_m - state.points_enu_m == pytest.approx(1.0)
+    less = state.retract(1e-4 * step, np.full((P, 3), 1e-4))  # of points it is the first order
+    assert less.points_enu_m - state.points_enu_m == pytest.approx(1e-4, rel=1e-3)
     assert moved.platform - state.platform == pytest.approx(step[Layout(K).platform])
     assert moved.plane - state.plane == pytest.approx(step[Layout(K).plane])
     together = np.concatenate([moved.platform - state.platform, moved.plane - state.plane])
     assert together == pytest.approx(step[Layout(K).shared])
+
+
+def test_no_step_takes_a_point_past_the_views_or_to_more_than_twice_its_distance_along_its_ray() -> None:
+    """Of any length: a point with little parallax is sent anywhere by a linear step."""
+    rng = np.random.default_rng(2)
+    state, still = sampled_state(rng), np.zeros(Layout(K).size)
+    rays = state.points_enu_m - state.centres_enu_m.mean(axis=0)
+    distance = np.linalg.norm(rays, axis=1)
+    for share in (1e-3, 0.1, 1.0, 30.0):
+        step = share * distance[:, None] * rng.standard_normal((P, 3))
+        moved = state.retract(still, step).points_enu_m - state.centres_enu_m.mean(axis=0)
+        along = np.einsum("pi,pi->p", moved, rays) / distance**2
+        assert np.all((along > 0.0) & (along < 2.001)), share
+    # Along its ray it goes by the inverse distance, and with the views as they turn.
+    moved = state.retract(still, 0.2 * rays).points_enu_m - state.centres_enu_m.mean(axis=0)
+    assert 1.0 / np.linalg.norm(moved, axis=1) == pytest.approx(0.8 / distance)
+    turn = np.array([0.3, -0.2, 0.5])
+    still[Layout(K).rotations()] = -np.einsum("kij,j->ki", state.R_cam_enu, turn)
+    moved = state.retract(still, np.cross(turn, rays))
+    before, after = (s.R_cam_enu @ (s.points_enu_m - s.centres_enu_m.mean(axis=0)).T for s in (state, moved))
+    assert after == pytest.approx(before)
 
 
 def test_a_range_measures_the_height_over_the_plane_where_its_beam_ends() -> None:
