@@ -88,6 +88,9 @@ def test_of_two_solutions_the_less_noisy_ones_weights_decide_and_not_each_ones_o
     wrong = replace(wrong, status=Status.OK, solved=true.solved)
     assert likelier(request, true, wrong) is true
     assert likelier(request, wrong, true) is true
+    refused = replace(true, status=Status.POOR_FIT, solved=None)  # the likelier one is judged, whatever of it
+    assert likelier(request, wrong, refused) is refused
+    assert likelier(request, true, replace(wrong, status=Status.POOR_FIT, solved=None)) is true
 
 
 def test_one_minimum_that_is_found_twice_is_no_reason_to_refuse() -> None:

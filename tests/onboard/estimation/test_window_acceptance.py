@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from contract.feature_set import Status
 from contract.rotations import exp_so3
 from onboard.config.schema import parse_config
 from onboard.estimation import window_solver
+from onboard.estimation.bundle_adjustment import solve
 from onboard.estimation.clock_profile import ClockProfile
 from onboard.estimation.reobservation import Agreement
 from onboard.estimation.sliding_window import Window
@@ -128,6 +130,14 @@ def test_a_wrong_window_in_mid_flight_is_not_published_and_the_flight_goes_on(mo
     assert made[21].status is Status.OK
     assert sum(pipeline.summary.refused_windows.values()) == 1
     assert np.mean([s.is_ok for s in sets.values()]) > 0.85
+
+
+def test_a_window_that_has_not_reached_a_minimum_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two of three such, by camera and GPS, were turned by 176 degrees."""
+    request, _ = solved_scene()
+    monkeypatch.setattr(window_solver, "solve", partial(solve, max_iterations=1))
+    outcome = adjust(request)
+    assert outcome.status is Status.POOR_FIT and "no minimum in 1 steps" in outcome.reason
 
 
 def test_by_memory_is_silent_where_nothing_is_known() -> None:
