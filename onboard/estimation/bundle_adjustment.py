@@ -32,6 +32,7 @@ from onboard.geometry.terrain_grid import Terrain
 
 Array = NDArray[np.float64]
 
+DIFFERENCE = 1e-5  # of normalised image coordinates
 _BEHIND = 100.0  # the residual, in sigmas, of a point behind a camera that saw it
 
 # The plane's whitened residuals: their columns (G,), `Problem.ground_columns`, by point (3, P), by columns (G, P).
@@ -137,7 +138,8 @@ class _Residuals:
     stiffness: Array
     pull: Array
     cost: float
-    by_block: Array | None  # (K, M, 2, P) how image coordinates move with the states of all blocks
+    moved: Array  # (K, 2, P) image coordinates, by rows read in turn and image states
+    by_block: Array | None  # (K, M, 2, P) the same by the states of all blocks
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,12 +181,8 @@ def image_residuals(problem: Problem, state: State) -> Array:
 def _residuals(problem: Problem, state: State, scale: float | None) -> _Residuals:
     weight = problem.weight
     image, predicted, depth = reprojection(state.R_cam_enu, state.centres_enu_m, state.points_enu_m, problem.measured)
-    if problem.sweep is not None:
-        image += problem.sweep.readout_s * problem.sweep.by_readout(state.R_cam_enu, predicted, depth)
-    by_block = None
-    if problem.blocks:
-        by_block = np.concatenate([b.jacobian(state, predicted, depth) for b in problem.blocks], axis=1)
-        image += np.einsum("kmip,km->kip", by_block, np.concatenate([b.values(state) for b in problem.blocks], axis=1))
+    moved, by_block = _moved(problem, state, predicted, depth)
+    image += moved
     squared = image[:, 0] ** 2
     squared += image[:, 1] ** 2
     squared *= weight
@@ -204,7 +202,33 @@ def _residuals(problem: Problem, state: State, scale: float | None) -> _Residual
             stiffness[columns, columns] += block.sigma**-2
             pull[columns] += block.sigma**-2 * values
     parts = image, predicted, depth, behind, squared, robust, ground, ground_robust, stiffness, pull
-    return _Residuals(state, *parts, 0.5 * cost, by_block)
+    return _Residuals(state, *parts, 0.5 * cost, moved, by_block)
+
+
+def _moved(problem: Problem, state: State, predicted: Array, depth: Array) -> tuple[Array, Array | None]:
+    """How rows read in turn and image states move coordinates (K, 2, P), and by all blocks' states (K, M, 2, P)."""
+    moved, by_block = np.zeros_like(predicted), None
+    if problem.sweep is not None:
+        moved += problem.sweep.readout_s * problem.sweep.by_readout(state.R_cam_enu, predicted, depth)
+    if problem.blocks:
+        by_block = np.concatenate([b.jacobian(state, predicted, depth) for b in problem.blocks], axis=1)
+        moved += np.einsum("kmip,km->kip", by_block, np.concatenate([b.values(state) for b in problem.blocks], axis=1))
+    return moved, by_block
+
+
+def _stretched(problem: Problem, at: _Residuals, *by: Array) -> list[Array]:
+    """What the coordinates move by (K, M, 2, P) where they are moved, and not the same everywhere. (19.1)
+
+    Differences: without them focal length, lens and poses, which trade, crawl along their valley.
+    """
+    if not at.moved.any():
+        return list(by)
+    gradient = np.empty((len(at.moved), 2, *at.moved.shape[1:]))  # (K, coordinate of where, of what is moved, P)
+    for i in range(2):
+        aside = at.predicted.copy()
+        aside[:, i] += DIFFERENCE
+        gradient[:, i] = (_moved(problem, at.state, aside, at.depth)[0] - at.moved) / DIFFERENCE
+    return [J + np.einsum("kijp,kmip->kmjp", gradient, J) for J in by]
 
 
 def _ground(problem: Problem, state: State) -> tuple[Array, Array, Array]:
@@ -244,7 +268,7 @@ def _linearise(problem: Problem, at: _Residuals) -> _Linear:
     K, P = problem.weight.shape
     s = problem.weight * np.sqrt(at.robust)
     s[at.behind] = 0.0
-    B, A = reprojection_jacobians(at.state.R_cam_enu, at.predicted, at.depth, s)
+    B, A = _stretched(problem, at, *reprojection_jacobians(at.state.R_cam_enu, at.predicted, at.depth, s))
     J = np.empty((K, problem.columns.shape[1], 2, P))
     J[:, :3] = B
     np.negative(A, out=J[:, 3:6])

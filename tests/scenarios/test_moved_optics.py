@@ -149,7 +149,7 @@ def test_the_first_windows_of_a_copter_on_camera_and_gps_are_not_called_zoomed(s
     Called zoomed, it was refused for a minute by a focal length that was then open to anything.
     """
     config = parse_config('[solve]\nattitude = "none"\nvelocity = false')
-    flight = ReplayedFlight(Scene(str(shared_data / "sitl" / "copter_survey"), config, 30.0, 240.0, wander_m=1.5), seed)
+    flight = ReplayedFlight(Scene(str(shared_data / "sitl" / "copter_survey"), config, 30.0, 240.0), seed)
     found = simulated(flight, events=takewhile(lambda e: not (isinstance(e, Frame) and e.index > 100), flight.events()))
     assert not MOVED & set(found.statuses), found.statuses
     assert len(found.pipeline.window.platform.mean) == STATES  # the lens stays as its file has it
