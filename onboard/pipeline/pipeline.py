@@ -185,7 +185,7 @@ class Pipeline:
         if self._frame is not self.navigation.frame:
             self._frame, self.window.terrain = self.navigation.frame, None
             self.window.ground_slope.forget()
-            self._lens_doubt.ground_m = None
+            self._lens_doubt.ground = None
         if self.terrain is not None:
             with self._statistics.timed("terrain"):
                 self.window.terrain = terrain_about(self.terrain, self._frame, nav, self.window.terrain)

@@ -5,7 +5,7 @@ one that found it, the next that fits is refused as well, and the second in a ro
 
 A lens that zooms fast loses every feature from one picture to the next. So what is lost at once, where telemetry says
 that the ground is still in sight, leaves the lens in doubt: known ground does not answer for a picture then, and a new
-window counts only if it finds the ground about as high as it was, or comes much later. (21.4)
+window counts only if it finds the ground about as high as it was, or as its slope leads to, or comes much later. (21.4)
 """
 
 from __future__ import annotations
@@ -14,11 +14,14 @@ from collections import deque
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from contract.feature_set import Status
 from onboard.estimation.solved_window import Solved
 from onboard.estimation.window_request import Outcome
 from onboard.navigation.limits import LONG_NS, MOST_OF
+
+Array = NDArray[np.float64]
 
 SAME_DEPTH = 0.3  # of the logarithm of the height above ground: what relief may change
 
@@ -51,7 +54,7 @@ class LensDoubt:
 
     def __init__(self) -> None:
         self.is_open = False
-        self.ground_m: float | None = None  # how high the ground is, as the last window had it that counted
+        self.ground: tuple[float, Array] | None = None  # how high, and its plane (3,), as the last window had it
         self._held: deque[float] = deque(maxlen=4)
         self._until_ns = 0.0  # stamp after which a window settles the doubt, whatever its ground
 
@@ -68,13 +71,16 @@ class LensDoubt:
     def denies(self, solved: Solved) -> str:
         """Take a solved window; why it must not count, as the lens is no longer what it takes it for. Empty: it may."""
         newest = solved.keyframes[-1]
-        up_m, ground_m = float(newest.centre_enu_m[2]), float(np.median(solved.solution.state.points_enu_m[:, 2]))
-        if self.is_open and self.ground_m is not None and newest.nav.stamp_ns <= self._until_ns:
-            nearer = np.log(max(up_m - self.ground_m, 1.0) / max(up_m - ground_m, 1.0))
+        up_m, middle = float(newest.centre_enu_m[2]), np.median(solved.solution.state.points_enu_m, axis=0)
+        if self.is_open and self.ground is not None and newest.nav.stamp_ns <= self._until_ns:
+            level_m, plane = self.ground
+            before_m = np.array([level_m, plane[0] + plane[1:] @ middle[:2]])  # level, or on as it slopes
+            near = np.log(np.maximum(up_m - before_m, 1.0) / max(up_m - middle[2], 1.0))
+            nearer = near[np.argmin(np.abs(near))]
             if abs(nearer) > SAME_DEPTH:
                 self._until_ns = np.inf  # from now on only ground as high as it was
                 return f"the lens zoomed: the ground looks {np.exp(nearer):.1f} times as near as before"
-        self.is_open, self.ground_m = False, ground_m
+        self.is_open, self.ground = False, (float(middle[2]), solved.plane)
         return ""
 
     def judged(self, outcome: Outcome) -> Outcome:

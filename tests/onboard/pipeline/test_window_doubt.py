@@ -18,17 +18,19 @@ from onboard.pipeline.window_doubt import FrameDoubt, LensDoubt
 S = 1_000_000_000
 
 
-def window(moment_s: float, depth_m: float, up_m: float = 250.0) -> Any:
-    """What of a solved window counts here: where the camera is, and the points."""
-    points = np.array([[0.0, 0.0, up_m - depth_m + d] for d in (-3.0, 0.0, 4.0)])
+def window(moment_s: float, depth_m: float, up_m: float = 250.0, east_m: float = 0.0, slope: float = 0.0) -> Any:
+    """What of a solved window counts here: where the camera is, the points, and their plane."""
+    points = np.array([[east_m, 0.0, up_m - depth_m + d] for d in (-3.0, 0.0, 4.0)])
     newest = SimpleNamespace(centre_enu_m=np.array([0.0, 0.0, up_m]), nav=SimpleNamespace(stamp_ns=round(moment_s * S)))
-    return SimpleNamespace(keyframes=(newest,), solution=SimpleNamespace(state=SimpleNamespace(points_enu_m=points)))
+    solution = SimpleNamespace(state=SimpleNamespace(points_enu_m=points))
+    plane = np.array([up_m - depth_m - slope * east_m, slope, 0.0])
+    return SimpleNamespace(keyframes=(newest,), solution=solution, plane=plane)
 
 
-def flown(held: float = 0.9, overlap: float = 0.9) -> LensDoubt:
+def flown(held: float = 0.9, overlap: float = 0.9, slope: float = 0.0) -> LensDoubt:
     """A window at 200 m, good tracking, and then nothing any more at 10 s."""
     doubt = LensDoubt()
-    assert not doubt.denies(window(9.0, 200.0))
+    assert not doubt.denies(window(9.0, 200.0, slope=slope))
     doubt.tracked(round(100 * held), 100)
     doubt.tracked(3, 100)  # one picture in the middle of the zoom
     doubt.lost(10 * S, overlap)
@@ -49,6 +51,13 @@ def test_a_ground_as_high_as_before_settles_it_however_high_the_aircraft_is() ->
     assert not doubt.denies(window(13.0, 33.0))  # nothing was lost since
 
 
+def test_a_valley_that_looks_nearer_as_its_slope_leads_to_is_no_zoom() -> None:
+    """Recorded: 62 m above one place, 45 m above the next; the level before alone says 1.4 times as near."""
+    assert not flown(slope=0.1).denies(window(12.0, 140.0, east_m=500.0))
+    assert "1.4 times as near" in flown().denies(window(12.0, 140.0, east_m=500.0))
+    assert "6.1 times as near" in flown(slope=0.1).denies(window(12.0, 33.0))
+
+
 def test_what_fades_or_leaves_the_picture_is_no_zoom() -> None:
     for doubt in (flown(held=0.3), flown(overlap=0.3)):
         assert not doubt.is_open and not doubt.denies(window(12.0, 33.0))
@@ -58,7 +67,7 @@ def test_a_window_long_after_has_other_ground_and_being_told_ends_it() -> None:
     later = flown()
     assert not later.denies(window(10.1 + 2 * LONG_NS / S, 33.0)) and not later.is_open
     elsewhere = flown()
-    elsewhere.ground_m = None
+    elsewhere.ground = None
     assert not elsewhere.denies(window(12.0, 33.0))
     told = flown()
     told.is_open = False
