@@ -33,6 +33,7 @@ from onboard.geometry.terrain_grid import Terrain
 Array = NDArray[np.float64]
 
 DIFFERENCE = 1e-5  # of normalised image coordinates
+UNMOVED = 1e-3  # of them: what they move by without their stretch making a difference to steps
 _BEHIND = 100.0  # the residual, in sigmas, of a point behind a camera that saw it
 
 # The plane's whitened residuals: their columns (G,), `Problem.ground_columns`, by point (3, P), by columns (G, P).
@@ -221,7 +222,7 @@ def _stretched(problem: Problem, at: _Residuals, *by: Array) -> list[Array]:
 
     Differences: without them focal length, lens and poses, which trade, crawl along their valley.
     """
-    if not at.moved.any():
+    if np.abs(at.moved).max() < UNMOVED:
         return list(by)
     gradient = np.empty((len(at.moved), 2, *at.moved.shape[1:]))  # (K, coordinate of where, of what is moved, P)
     for i in range(2):
