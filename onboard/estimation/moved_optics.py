@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from contract.feature_set import Status
-from contract.rotations import log_so3
+from contract.rotations import exp_so3, log_so3
 from onboard.estimation import ground_roughness, row_waves, window_problem
 from onboard.estimation.bundle_adjustment import Solution, solve
 from onboard.estimation.camera_states import COUNT, FOCAL_LENGTH, K1
@@ -72,6 +72,9 @@ def found(window: WindowProblem, weighed: Weighed) -> Outcome | None:
     if has_attitude:
         excess |= {ATTITUDE: hypotheses.without_attitude(), SHIFT: hypotheses.with_block(SHIFT)}
     cause = max(excess, key=lambda name: excess[name].evidence)
+    if cause == SHIFT:
+        excess[ATTITUDE] = max(excess[ATTITUDE], hypotheses.turned_instead(), key=lambda e: e.gain)
+        cause = max(excess, key=lambda name: excess[name].evidence)
     next_best = max([0.0, *(e.evidence for name, e in excess.items() if name != cause)])
     is_sure = excess[cause].exceeds_chance(next_best) and excess[cause].variance < MAX_VARIANCE
     refused = partial(Outcome, keyframes=window.keyframes, noise=window.request.noise, weighed=weighed)
@@ -145,11 +148,18 @@ class Hypotheses:
         """What the rows' own states explain next to the lens."""
         return excess_of(2.0 * (self._lens.cost - self._none.cost), self._none, self._none.state.own.size)
 
-    def without_attitude(self) -> Excess:
-        """What attitudes explain by being wrong."""
+    def without_attitude(self, state: State | None = None) -> Excess:
+        """What attitudes explain by being wrong; `state`: to begin from."""
         factors = replace(self._noise.factors, groups=dict.fromkeys((TILT, HEADING), SET_ASIDE))
         noise = replace(self._noise, factors=factors)
-        return self._explained(ATTITUDE, self._window.weighed(noise, self._none.state).solution, 3)
+        return self._explained(ATTITUDE, self._window.weighed(noise, state or self._none.state).solution, 3)
+
+    def turned_instead(self) -> Excess:
+        """The same, begun where shifts have led, each taken for the rotation that moves a picture's middle as far."""
+        shifted = self.solved[SHIFT].state
+        x, y = shifted.own[:, -2:].T
+        R = exp_so3(np.column_stack([-y, x, np.zeros(len(x))])) @ shifted.R_cam_enu
+        return self.without_attitude(replace(shifted, R_cam_enu=R, own=self._none.state.own))
 
     def with_block(self, block: str) -> Excess:
         """What a block of image states explains; shifts only after attitudes, which they begin from."""
