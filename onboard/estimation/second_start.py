@@ -102,8 +102,8 @@ def is_far_worse(found: Outcome, other: Request) -> bool:
 def likelier(request: Request, one: Outcome, two: Outcome) -> Outcome:
     """Which of the outcomes from two starts stands: the clearly likelier one, accepted or not, or a refusal of both.
 
-    What only the path's start finds, without anything to be compared with, needs an earlier window to confirm it: a
-    path is no attitude.
+    If neither is, an accepted one stands against a refused one, unless that has only not converged. What only the
+    path's start finds, with nothing to be compared with, needs an earlier window to confirm it: a path is no attitude.
     """
     if two.weighed is None or (one.solved is None and two.solved is None):
         return one
@@ -116,18 +116,30 @@ def likelier(request: Request, one: Outcome, two: Outcome) -> Outcome:
         for w in (one.weighed, two.weighed)
     )
     preferred = _preferred(first, second, problem)
-    if preferred or one.solved is None or two.solved is None:
-        return one if preferred == 1 or (preferred == 0 and two.solved is None) else two
-    at1, at2 = one.solved.common(two.solved)
-    miss_m = np.linalg.norm(first.state.points_enu_m[at1] - second.state.points_enu_m[at2], axis=1)
-    gain_of = one.solved.solution.point_gain[at1]
-    covariance = gain_of @ one.solved.covariance_at(one.keyframes[-1].nav.stamp_ns) @ gain_of.transpose(0, 2, 1)
-    sigma_m = np.sqrt(np.trace(covariance + one.solved.solution.point_covariance[at1], axis1=1, axis2=2))
-    if len(at1) and float(np.median(miss_m / sigma_m)) < SAME_SIGMAS:
-        return one
-    apart_m = float(np.median(miss_m)) if len(at1) else np.inf
+    accepted = one if one.solved is not None else two
+    refused = two if accepted is one else one
+    better, worse = (one, two) if preferred == 1 else (two, one)
+    if preferred and (worse.is_minimum or have_attitude(request.keyframes)):  # else its cost may fall yet
+        return better
+    if refused.solved is None and refused.is_minimum:
+        return accepted
+    apart_m, apart_sigmas = _apart(first, second, accepted)
+    if apart_sigmas < SAME_SIGMAS:
+        return accepted
     reason = f"the pictures fit two orientations: {apart_m:.0f} m apart on the ground, fly on level"
     return replace(one, status=Status.LOW_PARALLAX, keyframes=request.keyframes, solved=None, reason=reason)
+
+
+def _apart(first: Solution, second: Solution, accepted: Outcome) -> tuple[float, float]:
+    """How far apart two solutions of the same points have them, m and sigmas of the accepted one; medians."""
+    solved = accepted.solved
+    assert solved is not None
+    at = np.flatnonzero(solved.good)
+    miss_m = np.linalg.norm(first.state.points_enu_m[at] - second.state.points_enu_m[at], axis=1)
+    gain_of = solved.solution.point_gain[at]
+    covariance = gain_of @ solved.covariance_at(solved.keyframes[-1].nav.stamp_ns) @ gain_of.transpose(0, 2, 1)
+    sigma_m = np.sqrt(np.trace(covariance + solved.solution.point_covariance[at], axis1=1, axis2=2))
+    return float(np.median(miss_m)), float(np.median(miss_m / sigma_m))
 
 
 def _minimum(problem: Problem, state: State, reference_enu_m: Array) -> Solution:

@@ -80,4 +80,5 @@ class Outcome:
     weighed: Weighed | None = None  # its first solve, which others are compared with
     rejected: Solved | None = None  # a solution that only earlier windows speak against
     agreed: Agreement | None = None  # with an earlier window that shares points and no picture
+    is_minimum: bool = True  # the adjustment reached one
     lens_moved: float = 0.0  # by about so much of the focal length's logarithm within the window

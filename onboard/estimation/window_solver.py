@@ -103,11 +103,11 @@ def adjust(request: Request) -> Outcome:
         if not is_far_worse(best, other):
             best = likelier(request, best, _adjusted(other))
     judged, lower = by_profile(request, best)
-    if lower is None:
-        return judged
-    other = replace(request, keyframes=lower, previous=None, is_oriented=True)
-    preferred = likelier(request, best, _adjusted(other))
-    return judged if preferred is best else by_profile(request, preferred)[0]
+    if lower is not None:
+        other = replace(request, keyframes=lower, previous=None, is_oriented=True)
+        preferred = likelier(request, best, _adjusted(other))
+        judged = judged if preferred is best else by_profile(request, preferred)[0]
+    return judged
 
 
 def _adjusted(request: Request) -> Outcome:
@@ -277,7 +277,8 @@ def _judged(request: Request, window: WindowProblem, weighed: Weighed, adjusted:
     if turn > MAX_ROTATION_SIGMA_DEG:
         return refused(Status.LOW_PARALLAX, heading_unknown(turn))
     if not s.converged:
-        return refused(Status.POOR_FIT, f"the adjustment found no minimum in {s.iterations} steps")
+        reason = f"the adjustment found no minimum in {s.iterations} steps"
+        return replace(refused(Status.POOR_FIT, reason), is_minimum=False)
     priors = weighed.problem.priors
     moving = ground_motion(keyframes, priors, s.state, s.covariance, ground_sigma_m_s(keyframes, depth_m))
     covariance = s.covariance + moving.covariance(moving.epoch_ns)
