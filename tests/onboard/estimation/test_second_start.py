@@ -90,7 +90,11 @@ def test_of_two_solutions_the_less_noisy_ones_weights_decide_and_not_each_ones_o
     assert likelier(request, wrong, true) is true
     refused = replace(true, status=Status.POOR_FIT, solved=None)  # the likelier one is judged, whatever of it
     assert likelier(request, wrong, refused) is refused
-    assert likelier(request, true, replace(wrong, status=Status.POOR_FIT, solved=None)) is true
+    worse = replace(wrong, status=Status.POOR_FIT, solved=None)
+    assert likelier(request, true, worse) is true
+    # What has not converged may fall yet, and nothing stands against it.
+    assert likelier(request, true, replace(worse, is_minimum=False)).status is Status.LOW_PARALLAX
+    assert likelier(request, replace(worse, is_minimum=False), true).status is Status.LOW_PARALLAX
 
 
 def test_one_minimum_that_is_found_twice_is_no_reason_to_refuse() -> None:
