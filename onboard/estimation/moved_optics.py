@@ -64,8 +64,8 @@ def found(window: WindowProblem, weighed: Weighed) -> Outcome | None:
     each, common = zoom_scores(window, weighed)
     is_file_doubted = common.exceeds_chance() and not window.layout.camera_states
     # Pictures that are turned wrong look zoomed: the start of a window without attitude may be anywhere.
-    is_zoom_doubted = each.exceeds_chance() and (has_attitude or window.request.previous is not None)
-    if not is_turned and not is_file_doubted and not is_zoom_doubted:
+    is_oriented = has_attitude or window.request.previous is not None
+    if not is_turned and not is_file_doubted and not (is_oriented and each.exceeds_chance()):
         return None
     hypotheses = Hypotheses(window, weighed)
     excess = {ZOOM: hypotheses.with_block(ZOOM)}
@@ -78,7 +78,7 @@ def found(window: WindowProblem, weighed: Weighed) -> Outcome | None:
     next_best = max([0.0, *(e.evidence for name, e in excess.items() if name != cause)])
     is_sure = excess[cause].exceeds_chance(next_best) and excess[cause].variance < MAX_VARIANCE
     refused = partial(Outcome, keyframes=window.keyframes, noise=window.request.noise, weighed=weighed)
-    if cause == ZOOM and is_sure and is_zoom_doubted:
+    if cause == ZOOM and is_sure and is_oriented:
         moved = float(np.ptp(hypotheses.solved[ZOOM].state.own[:, -1]))
         reason = f"the lens zoomed or refocused: by {np.expm1(moved):.1%} within the window"
         return refused(Status.ZOOMED, reason=reason, lens_moved=moved)

@@ -103,11 +103,11 @@ def adjust(request: Request) -> Outcome:
         if not is_far_worse(best, other):
             best = likelier(request, best, _adjusted(other))
     judged, lower = by_profile(request, best)
-    if lower is not None:
-        other = replace(request, keyframes=lower, previous=None, is_oriented=True)
-        preferred = likelier(request, best, _adjusted(other))
-        judged = judged if preferred is best else by_profile(request, preferred)[0]
-    return judged
+    if lower is None:
+        return judged
+    other = replace(request, keyframes=lower, previous=None, is_oriented=True)
+    preferred = likelier(request, best, _adjusted(other))
+    return judged if preferred is best else by_profile(request, preferred)[0]
 
 
 def _adjusted(request: Request) -> Outcome:
