@@ -276,7 +276,8 @@ def _judged(request: Request, window: WindowProblem, weighed: Weighed, adjusted:
     turn = float(np.degrees(np.sqrt(np.diag(s.covariance)[layout.rotations()].max())))
     if turn > MAX_ROTATION_SIGMA_DEG:
         return refused(Status.LOW_PARALLAX, heading_unknown(turn))
-    if not s.converged:
+    # From another start it may: from the attitude's, or from the path's, which `second_start` compares.
+    if not s.converged and (request.previous is not None or not have_attitude(keyframes)):
         reason = f"the adjustment found no minimum in {s.iterations} steps"
         return replace(refused(Status.POOR_FIT, reason), is_minimum=False)
     priors = weighed.problem.priors

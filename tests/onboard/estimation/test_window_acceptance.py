@@ -24,7 +24,7 @@ from onboard.estimation.window_solver import adjust
 from onboard.geometry.terrain_grid import Terrain
 from onboard.navigation.position_interpolation import Displacement
 from simulation.paths import PathSpec
-from tests.onboard.scenes import FULL, SceneSpec, draw
+from tests.onboard.scenes import FULL, SEED_SENSORS, SceneSpec, draw
 
 CALM = SceneSpec(error_scale=0.3)
 
@@ -134,7 +134,7 @@ def test_a_wrong_window_in_mid_flight_is_not_published_and_the_flight_goes_on(mo
 
 def test_a_window_that_has_not_reached_a_minimum_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two of three such, by camera and GPS, were turned by 176 degrees."""
-    request, _ = solved_scene()
+    request = draw(np.random.default_rng(0), SEED_SENSORS, CALM).window().prepare()
     monkeypatch.setattr(window_solver, "solve", partial(solve, max_iterations=1))
     outcome = adjust(request)
     assert outcome.status is Status.POOR_FIT and "no minimum in 1 steps" in outcome.reason
