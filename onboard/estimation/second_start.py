@@ -116,12 +116,11 @@ def likelier(request: Request, one: Outcome, two: Outcome) -> Outcome:
         for w in (one.weighed, two.weighed)
     )
     preferred = _preferred(first, second, problem)
-    accepted = one if one.solved is not None else two
-    refused = two if accepted is one else one
     better, worse = (one, two) if preferred == 1 else (two, one)
     if preferred and (worse.is_minimum or have_attitude(request.keyframes)):  # else its cost may fall yet
         return better
-    if refused.solved is None and refused.is_minimum:
+    accepted, other = (one, two) if one.solved is not None else (two, one)
+    if other.solved is None and other.is_minimum:
         return accepted
     apart_m, apart_sigmas = _apart(first, second, accepted)
     if apart_sigmas < SAME_SIGMAS:
@@ -134,7 +133,7 @@ def _apart(first: Solution, second: Solution, accepted: Outcome) -> tuple[float,
     """How far apart two solutions of the same points have them, m and sigmas of the accepted one; medians."""
     solved = accepted.solved
     assert solved is not None
-    at = np.flatnonzero(solved.good)
+    at = solved.good
     miss_m = np.linalg.norm(first.state.points_enu_m[at] - second.state.points_enu_m[at], axis=1)
     gain_of = solved.solution.point_gain[at]
     covariance = gain_of @ solved.covariance_at(solved.keyframes[-1].nav.stamp_ns) @ gain_of.transpose(0, 2, 1)
