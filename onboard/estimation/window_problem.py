@@ -29,9 +29,9 @@ FIRST_SCALE = 3.0  # of the loss (6.5) in sigmas, in the first of the two solves
 MIN_STRAY_M = 0.3  # least sigma of the ground about its plane, by the points themselves
 
 
-def approximate(problem: Problem, state: State) -> Solution:
+def approximate(problem: Problem, state: State, tolerance: float = 3e-4) -> Solution:
     """The first of the two solves: robust, only as exact as finding outliers needs."""
-    return solve(problem, state, scale=FIRST_SCALE, tolerance=3e-4)
+    return solve(problem, state, scale=FIRST_SCALE, tolerance=tolerance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,11 +52,9 @@ class WindowProblem:
     def problem(self, noise: Noise) -> Problem:
         """What is minimised, weighted by this noise."""
         request, unweighed = self.request, self.unweighed
-        sensors = Sensors(
-            request.config, request.R_body_cam, self.keyframes, self.layout, noise.factors, noise.jitter_s
-        )
+        sensors = Sensors(request.config, request.R_body_cam, self.keyframes, self.layout, noise.factors)
         priors = sensors.priors(request.platform, unweighed.terrain is not None, request.slope)
-        return replace(unweighed, weight=unweighed.weight / noise.noise_inflation, priors=[*priors, *unweighed.priors])
+        return replace(unweighed, priors=[*priors, *unweighed.priors])
 
     def weighed(self, noise: Noise, state: State) -> Weighed:
         """The first solve, weighted by this noise, from a state."""
