@@ -43,6 +43,7 @@ Array = NDArray[np.float64]
 CLEAR_SIGMAS = 3.1  # of a difference of two costs, by its own spread: one-sided a thousand to one
 SAME_SIGMAS = 1.0  # of the points' own places, within which two solutions are the same
 MAX_ROTATION_SIGMA_DEG = 20.0  # above it a turn's second order, which no covariance has, is a fifth of its first
+EXACT = 1e-6  # of the cost: below a hundredth of a sigma
 HELD = 0.01  # rad, how closely a turn is held
 AROUND_RAD = np.radians(np.arange(45.0, 360.0, 45.0))  # valleys for which this is asked are as wide as these are apart
 
@@ -88,7 +89,10 @@ def other_starts(request: Request, found: Outcome) -> Iterator[tuple[Keyframe, .
 
 
 def is_far_worse(found: Outcome, other: Request) -> bool:
-    """Whether the minimum next to another start is clearly the unlikelier one, under the noise that `found` has."""
+    """Whether the minimum next to another start is clearly the unlikelier one, under the noise that `found` has.
+
+    Not where none was reached from there, as in `likelier`.
+    """
     if found.solved is None or found.weighed is None:
         return False
     window = from_request(other)
@@ -96,14 +100,16 @@ def is_far_worse(found: Outcome, other: Request) -> bool:
         return True
     problem = found.weighed.problem
     solution = _minimum(problem, window.state, window.unweighed.reference_enu_m)
-    return _preferred(found.weighed.solution, solution, problem) == 1
+    is_known = solution.converged or have_attitude(other.keyframes)
+    return is_known and _preferred(found.weighed.solution, solution, problem) == 1
 
 
 def likelier(request: Request, one: Outcome, two: Outcome) -> Outcome:
     """Which of the outcomes from two starts stands: the clearly likelier one, accepted or not, or a refusal of both.
 
-    If neither is, an accepted one stands against a refused one, unless that has only not converged. What only the
-    path's start finds, with nothing to be compared with, needs an earlier window to confirm it: a path is no attitude.
+    If neither is, an accepted one stands against one that something contradicts, not against one that has only not
+    converged or is only known too badly. What only the path's start finds, with nothing to be compared with, needs an
+    earlier window to confirm it: a path is no attitude.
     """
     if two.weighed is None or (one.solved is None and two.solved is None):
         return one
@@ -120,8 +126,10 @@ def likelier(request: Request, one: Outcome, two: Outcome) -> Outcome:
     if preferred and (worse.is_minimum or have_attitude(request.keyframes)):  # else its cost may fall yet
         return better
     accepted, other = (one, two) if one.solved is not None else (two, one)
-    if other.solved is None and other.is_minimum:
+    if other.status is Status.POOR_FIT and other.is_minimum:
         return accepted
+    # Exactly: the first solves stop so early that one minimum found twice may lie a sigma from itself.
+    first, second = (approximate(problem, s.state, EXACT) for s in (first, second))
     apart_m, apart_sigmas = _apart(first, second, accepted)
     if apart_sigmas < SAME_SIGMAS:
         return accepted
@@ -232,29 +240,42 @@ def by_profile(request: Request, found: Outcome) -> tuple[Outcome, tuple[Keyfram
     if np.degrees(SURE_SIGMAS * sigma_rad) < MAX_ROTATION_SIGMA_DEG:
         return found, None
     angles = np.append(AROUND_RAD, [SURE_SIGMAS * sigma_rad, -SURE_SIGMAS * sigma_rad])
-    held = [_held(found.weighed, axis, float(angle)) for angle in (0.0, *angles)]
-    risen = np.array([cost for cost, _ in held[1:]]) - held[0][0]
-    wide_rad = float(np.max(2.0 * np.abs(np.sin(0.5 * angles)) / np.sqrt(2.0 * np.maximum(risen, 1e-6))))
+    there, possible = _turns(found.weighed, axis, angles)
+    wide_rad = max((width_rad for width_rad, _ in possible), default=0.0)
     if np.degrees(wide_rad) <= MAX_ROTATION_SIGMA_DEG:
         wider = max(wide_rad / sigma_rad, 1.0)
         return replace(found, solved=replace(solved, variance_factor=solved.variance_factor * wider**2)), None
     reason = heading_unknown(float(np.degrees(wide_rad)))
     refused = replace(found, status=Status.LOW_PARALLAX, keyframes=request.keyframes, solved=None, reason=reason)
-    lowest, state = min(held, key=lambda h: h[0])
-    return refused, turned(request.keyframes, state.R_cam_enu) if lowest < held[0][0] else None
+    lowest = min((s for _, s in possible), key=lambda s: s.cost)
+    return refused, turned(request.keyframes, lowest.state.R_cam_enu) if lowest.cost < there.cost else None
 
 
-def _held(found: Weighed, axis_enu: Array, angle_rad: float) -> tuple[float, State]:
-    """The cost where all views are held turned by this angle, in units of the noise as it was found, and the state."""
-    first, problem = found.solution, found.problem
-    start = turned_as_one(first.state, angle_rad * axis_enu, problem)
+def _turns(found: Weighed, axis_enu: Array, angles_rad: Array) -> tuple[Solution, list[tuple[float, Solution]]]:
+    """The minimum as it is; and of turns that are not clearly unlikelier, (16.8), the width each shows, and its own."""
+    problem, there = found.problem, _held(found, axis_enu, 0.0)
+    assert there is not None
+    scale, possible = _noise_shown(there, problem), []
+    for angle_rad in angles_rad:
+        held = _held(found, axis_enu, float(angle_rad))
+        if held is None or (held.converged and _preferred(there, held, problem) == 1):
+            continue
+        risen = max((held.cost - there.cost) / scale, 1e-6)
+        possible.append((float(2.0 * abs(np.sin(0.5 * angle_rad)) / np.sqrt(2.0 * risen)), held))
+    return there, possible
+
+
+def _held(found: Weighed, axis_enu: Array, angle_rad: float) -> Solution | None:
+    """The minimum where all views are held turned by this angle; None where the ground is above the aircraft then."""
+    problem = found.problem
+    start = turned_as_one(found.solution.state, angle_rad * axis_enu, problem)
     held = TurnPrior(problem.layout, start.R_cam_enu, axis_enu, HELD)
     priors = [*problem.priors, cast(Prior, held)]  # no sensor's, but the solver asks nothing else of one
     solution = approximate(replace(problem, priors=priors), start)
     if share_below(solution.state, problem.weight > 0) < MIN_AHEAD:
-        return np.inf, start  # turned over: the ground is not above the aircraft
+        return None
     r = held.evaluate(solution.state)[0]
-    return (solution.cost - 0.5 * float(r @ r)) / _noise_shown(first, problem), solution.state
+    return replace(solution, cost=solution.cost - 0.5 * float(r @ r))
 
 
 def turned_as_one(state: State, turn_enu_rad: Array, problem: Problem) -> State:

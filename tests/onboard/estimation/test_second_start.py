@@ -6,18 +6,22 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from contract.feature_set import Status
 from contract.rotations import log_so3
-from onboard.estimation import window_start
+from onboard.estimation import second_start, window_start
+from onboard.estimation.bundle_adjustment import Solution
 from onboard.estimation.factors import AttitudePrior
 from onboard.estimation.keyframe import turned
-from onboard.estimation.second_start import likelier, other_starts
+from onboard.estimation.second_start import by_profile, is_far_worse, likelier, other_starts, weakest_turn
 from onboard.estimation.window_acceptance import by_itself
 from onboard.estimation.window_request import Outcome, Request
 from onboard.estimation.window_solver import _adjusted, adjust
 from tests.onboard.scenes import SEED_SENSORS, Scene, SceneSpec, draw
 from tests.rest_long import rest_long
+
+Array = NDArray[np.float64]
 
 CLIMB = SceneSpec(climb_m_s=2.5, speed_m_s=2.0, height_m=60.0, wobble_deg=5.0, relief_sigma_m=3.0)
 STRAIGHT_UP = replace(CLIMB, speed_m_s=0.7, relief_sigma_m=0.0)
@@ -81,7 +85,7 @@ def test_of_two_solutions_the_less_noisy_ones_weights_decide_and_not_each_ones_o
     request = scene.window().prepare()
     true = _adjusted(request)
     assert true.solved is not None and true.weighed is not None
-    excused = replace(request, noise=replace(request.noise, noise_inflation=2.0))
+    excused = replace(request, noise=replace(request.noise, pixel_sigma_px=2.0 * request.noise.pixel_sigma_px))
     wrong = _adjusted(replace(begun_mirrored(request), noise=excused.noise))
     assert wrong.weighed is not None
     assert wrong.weighed.solution.cost < true.weighed.solution.cost + 50.0  # by its own weights it seems to fit
@@ -97,6 +101,16 @@ def test_of_two_solutions_the_less_noisy_ones_weights_decide_and_not_each_ones_o
     assert likelier(request, replace(worse, is_minimum=False), true).status is Status.LOW_PARALLAX
 
 
+def test_another_start_is_not_given_up_for_a_cost_that_may_fall_yet(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = draw(np.random.default_rng(0), SEED_SENSORS, CLIMB)
+    request = scene.window().prepare()
+    true, wrong = _adjusted(request), begun_mirrored(request)
+    assert is_far_worse(true, wrong)
+    minimum = second_start.approximate
+    monkeypatch.setattr(second_start, "approximate", lambda *at: replace(minimum(*at), converged=False))
+    assert not is_far_worse(true, wrong)
+
+
 def test_one_minimum_that_is_found_twice_is_no_reason_to_refuse() -> None:
     scene = draw(np.random.default_rng(0), SEED_SENSORS, CLIMB)
     request = scene.window().prepare()
@@ -104,6 +118,53 @@ def test_one_minimum_that_is_found_twice_is_no_reason_to_refuse() -> None:
     nudged = turned(request.keyframes, [k.R_cam_enu for k in first.keyframes])
     again = _adjusted(replace(request, keyframes=nudged, is_oriented=True))
     assert likelier(request, first, again) is first
+
+
+def test_what_fits_as_well_but_is_known_too_badly_to_be_published_is_not_refuted() -> None:
+    """Turned by 171 degrees, known to 19.5; the true one, whose cost is lower, to 20.3. Nothing decides."""
+    scene = draw(np.random.default_rng(0), SEED_SENSORS, STRAIGHT_UP)
+    request = scene.window().prepare()
+    wrong = _adjusted(request)
+    assert wrong.status is Status.OK and turn_deg(scene, wrong) > 150.0
+    true = _adjusted(replace(request, keyframes=next(other_starts(request, wrong)), is_oriented=True))
+    assert true.status is Status.LOW_PARALLAX and true.is_minimum
+    assert true.weighed is not None and wrong.weighed is not None
+    assert true.weighed.solution.cost < wrong.weighed.solution.cost
+    for outcomes in ((true, wrong), (wrong, true)):
+        assert "two orientations" in likelier(request, *outcomes).reason
+    contradicted = replace(true, status=Status.POOR_FIT)
+    assert likelier(request, wrong, contradicted) is wrong
+
+
+@pytest.mark.parametrize(("risen", "widened"), [(15.0, 1.0), (6.0, None), (-1.0, None)])
+def test_a_heading_all_round_counts_unless_it_is_clearly_unlikelier(
+    monkeypatch: pytest.MonkeyPatch, risen: float, widened: float | None
+) -> None:
+    """Of a valley as the covariance has it, and one more opposite, whose bottom is higher by so much. (16.10)
+
+    Before, one that is a million times less likely widened the first by its square root: 2 / sqrt(30) is 21 degrees.
+    """
+    scene = draw(np.random.default_rng(0), SEED_SENSORS, CLIMB)
+    request = scene.window().prepare()
+    found = _adjusted(request)
+    assert found.solved is not None and found.weighed is not None
+    sigma_rad = weakest_turn(found.solved)[1]
+    best = found.weighed.solution
+
+    def held(found: Outcome, axis_enu: Array, angle_rad: float) -> Solution | None:
+        if 1.5 < angle_rad < 3.0 or 3.5 < angle_rad < 5.0:
+            return None  # the ground would lie above the aircraft
+        cost = risen if 3.0 < angle_rad < 3.5 else (1.0 - np.cos(angle_rad)) / sigma_rad**2
+        return replace(best, cost=best.cost + cost)
+
+    monkeypatch.setattr(second_start, "_held", held)
+    judged, lower = by_profile(request, found)
+    assert (lower is not None) == (risen < 0.0)
+    if widened is None:
+        assert judged.status is Status.LOW_PARALLAX and "heading hardly known" in judged.reason
+    else:
+        assert judged.solved is not None
+        assert judged.solved.variance_factor == pytest.approx(widened, abs=0.05)
 
 
 def test_without_attitude_a_solution_from_the_path_alone_needs_confirmation(monkeypatch: pytest.MonkeyPatch) -> None:
