@@ -253,8 +253,7 @@ def by_profile(request: Request, found: Outcome) -> tuple[Outcome, tuple[Keyfram
 
 def _turns(found: Weighed, axis_enu: Array, angles_rad: Array) -> tuple[Solution, list[tuple[float, Solution]]]:
     """The minimum as it is; and of turns that are not clearly unlikelier, (16.8), the width each shows, and its own."""
-    problem, there = found.problem, _held(found, axis_enu, 0.0)
-    assert there is not None
+    problem, there = found.problem, _held(found, axis_enu, 0.0) or found.solution
     scale, possible = _noise_shown(there, problem), []
     for angle_rad in angles_rad:
         held = _held(found, axis_enu, float(angle_rad))
