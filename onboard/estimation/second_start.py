@@ -107,9 +107,9 @@ def is_far_worse(found: Outcome, other: Request) -> bool:
 def likelier(request: Request, one: Outcome, two: Outcome) -> Outcome:
     """Which of the outcomes from two starts stands: the clearly likelier one, accepted or not, or a refusal of both.
 
-    If neither is, an accepted one stands against one that something contradicts, not against one that has only not
-    converged or is only known too badly. What only the path's start finds, with nothing to be compared with, needs an
-    earlier window to confirm it: a path is no attitude.
+    If neither is, an accepted one stands against one that something contradicts, or that is known too badly and fits
+    worse by (16.8), not against one that has only not converged. What only the path's start finds, with nothing to be
+    compared with, needs an earlier window to confirm it: a path is no attitude.
     """
     if two.weighed is None or (one.solved is None and two.solved is None):
         return one
@@ -126,7 +126,9 @@ def likelier(request: Request, one: Outcome, two: Outcome) -> Outcome:
     if preferred and (worse.is_minimum or have_attitude(request.keyframes)):  # else its cost may fall yet
         return better
     accepted, other = (one, two) if one.solved is not None else (two, one)
-    if other.status is Status.POOR_FIT and other.is_minimum:
+    gain = (second.cost - first.cost) * (1.0 if accepted is one else -1.0)
+    is_dismissed = other.status is Status.POOR_FIT or gain > 0.5 * CLEAR
+    if other.solved is None and other.is_minimum and is_dismissed:
         return accepted
     # Exactly: the first solves stop so early that one minimum found twice may lie a sigma from itself.
     first, second = (approximate(problem, s.state, EXACT) for s in (first, second))

@@ -192,7 +192,6 @@ def _velocity(m: Sensors) -> list[Prior]:
     if not m.config.solve.velocity or not known.any():
         return []
     stamps, velocities = m.stamps_s, m.velocities_enu_m_s
-    speed = np.linalg.norm(velocities, axis=1)
     dt = np.maximum(np.diff(stamps), 0.05)
     middle = 0.5 * (stamps[1:] + stamps[:-1])
     # The white error lasts about a second: over longer intervals it averages.
@@ -203,7 +202,7 @@ def _velocity(m: Sensors) -> list[Prior]:
     unknown = np.where(known, 0.0, UNKNOWN_M**2)
     turning = _fading(middle, dt * np.maximum(m.dynamic_m_s[1:], m.dynamic_m_s[:-1]))
     fixed = between_covariance(displacement) + np.diag(unknown) + turning
-    by_stamps = [np.where(known, np.hypot(speed[1:], speed[:-1]), 0.0)] * 3
+    by_stamps = np.where(known, np.hypot(velocities[1:].T, velocities[:-1].T), 0.0)
     whitener, parts = m.errors(VelocityPrior.sensors, [slow] * 3, [white] * 3, by_stamps, fixed)
     return [
         VelocityPrior(

@@ -134,6 +134,12 @@ def test_what_fits_as_well_but_is_known_too_badly_to_be_published_is_not_refuted
         assert "two orientations" in likelier(request, *outcomes).reason
     contradicted = replace(true, status=Status.POOR_FIT)
     assert likelier(request, wrong, contradicted) is wrong
+    # But one that fits better by (16.8) stands against it: a climb at 1.5 m/s was not answered at all otherwise.
+    better, worse = (
+        replace(true, status=Status.OK, solved=wrong.solved),
+        replace(wrong, status=true.status, solved=None),
+    )
+    assert likelier(request, worse, better) is better and likelier(request, better, worse) is better
 
 
 @pytest.mark.parametrize(("risen", "widened"), [(15.0, 1.0), (6.0, None), (-1.0, None)])
