@@ -28,6 +28,7 @@ from onboard.estimation.second_start import (
     other_starts,
 )
 from onboard.estimation.sensor_groups import Innovation, failing_groups, innovations
+from onboard.estimation.sensor_table import PARTS
 from onboard.estimation.shared_errors import shared_errors
 from onboard.estimation.solved_window import Solved
 from onboard.estimation.variance_components import evidence_of
@@ -51,7 +52,9 @@ GROUND_MOVES = "the ground moves"
 MIN_TRACK_INLIERS = 2.0 / 3.0  # of one track's measurements, (6.15)
 MIN_VIEW_INLIERS = 0.3  # of one picture's measurements; below it nothing ties that picture to the others
 MIN_PIXEL_SIGMA_PX = 0.08  # tracks have common errors, larger than their residuals show
+WEIGHING_ROUNDS = 5
 WAVE_ROUNDS = 2
+MIN_CHANGE = 0.3  # of a variance's logarithm, by which it must change to weigh a window again
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +118,9 @@ def _adjusted(request: Request) -> Outcome:
     if changed is not None:
         return changed
     weighed, failed = _without_failing_sensors(window, first)
+    # What follows is judged by what earlier windows found of the sensors, and by which of them fail.
     request = replace(request, noise=weighed.noise)
+    weighed = _settled(request, window, weighed)
     own_share = _depth_share_without_known_ground(window, weighed)
     if own_share > MAX_DEPTH_SIGMA:
         reason = f"little parallax: depths known to {100.0 * own_share:.0f} % only, without the terrain model"
@@ -149,6 +154,18 @@ def _without_failing_sensors(window: WindowProblem, weighed: Weighed) -> tuple[W
         return weighed, set()
     noise = replace(noise, factors=replace(noise.factors, groups=groups))
     return window.weighed(noise, weighed.solution.state), failed
+
+
+def _settled(request: Request, window: WindowProblem, weighed: Weighed) -> Weighed:
+    """The window weighted until its own residuals ask for no other variances of the sensors. (13.2)"""
+    for _ in range(WEIGHING_ROUNDS):
+        first, used = weighed.solution, weighed.noise.factors
+        evidence = evidence_of(weighed.problem.priors, first.state, first.covariance, used)
+        own = request.noise.factors.with_evidence(evidence, request.keyframes[-1].nav.stamp_ns)
+        if all(abs(np.log(own.of(n) / used.of(n))) <= MIN_CHANGE for n in PARTS):
+            break
+        weighed = window.weighed(replace(weighed.noise, factors=own), first.state)
+    return weighed
 
 
 def _depth_share_without_known_ground(window: WindowProblem, weighed: Weighed) -> float:
@@ -229,7 +246,10 @@ def _judged(request: Request, window: WindowProblem, weighed: Weighed, adjusted:
     if float(np.median(_depth_sigma(s, covariance, good, layout))) / depth_m > MAX_DEPTH_SIGMA:
         # coarse and fine flow disagree too much to know the scale: water
         return refused(Status.POOR_FIT, GROUND_MOVES)
-    against = by_itself(config, keyframes, request.terrain, s, layout, kept, good, priors)
+    # Whether sensors contradict the pictures is judged by what earlier windows found, not by this one's own excuse.
+    is_own = noise.factors is not request.noise.factors
+    before = window.problem(replace(noise, factors=request.noise.factors)).priors if is_own else priors
+    against = by_itself(config, keyframes, request.terrain, s, layout, kept, good, before)
     if against is not None:
         return refused(Status.POOR_FIT, against)
     solved = _solved(request, window, s, good, sigma_px, moving, keyframes, priors)
