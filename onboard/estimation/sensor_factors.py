@@ -30,7 +30,7 @@ from onboard.estimation.factors import (
 from onboard.estimation.ground_slope import NO_SLOPE_PRIOR, SlopePrior
 from onboard.estimation.keyframe import Keyframe, have_attitude
 from onboard.estimation.platform_states import DELAY, VELOCITY_DELAY
-from onboard.estimation.sensor_table import BY_NAME, POSITION, STAMP, declared
+from onboard.estimation.sensor_table import BY_NAME, POSITION, declared
 from onboard.estimation.variance_components import VarianceFactors
 from onboard.geometry.robust import OUTLIER_SIGMAS
 from onboard.geometry.terrain_grid import Terrain
@@ -49,13 +49,17 @@ TERRAIN_SLOPE_SIGMA = 0.005  # of an elevation model over a window's few hundred
 
 @dataclass(frozen=True, eq=False)
 class Sensors:
-    """What a window's sensors measured at its K keyframes, and by what their residuals are weighted."""
+    """What a window's sensors measured at its K keyframes, and by what their residuals are weighted.
+
+    `jitter_s`: one sigma of each picture's own stamp: white error wherever the vehicle moves or turns. (5.11)
+    """
 
     config: Config
     R_body_cam: Array
     keyframes: Sequence[Keyframe]
     layout: Layout
     factors: VarianceFactors
+    jitter_s: float
 
     def priors(self, platform: PlatformEstimate, has_terrain: bool, slope: SlopePrior | None = None) -> list[Prior]:
         """Every residual over the camera side that the configuration asks for and the keyframes have data for.
@@ -111,22 +115,17 @@ class Sensors:
         return np.abs(self.stamps_s[1:] - self.stamps_s[:, None]) <= DYNAMIC_TIME_S
 
     def errors(
-        self,
-        sensors: Iterable[str],
-        slow: Iterable[Array],
-        white: Iterable[Array],
-        per_second: Iterable[Array],
-        fixed: Iterable[Array],
+        self, sensors: Iterable[str], slow: Iterable[Array], white: Iterable[Array], fixed: Iterable[Array]
     ) -> tuple[Array, Parts]:
         """Whiteners (3, n, n) of a residual's errors and their estimated parts, (5.5), axis by axis.
 
-        Given are, for each axis, the sensor, the two parts of its covariance (n, n) as declared, how fast (n,) what was
-        measured changes with the picture's own stamp, (5.11), and what else it has. Each part counts by its estimated
-        variance; all of it by the sensor's group, which says nothing of its parts while it fails.
+        Given are, for each axis, the sensor, the two parts of its covariance (n, n) as declared, and what else it has.
+        Each part counts by its estimated variance; all of it by the sensor's group, which says nothing of its parts
+        while it fails.
         """
-        whole, parts, stamp_s = [], [], declared(self.config, STAMP)
-        for name, Q_slow, Q_white, rate, Q_fixed in zip(sensors, slow, white, per_second, fixed, strict=True):
-            declared_parts = {name: Q_slow, BY_NAME[name].white: Q_white, STAMP: np.diag(np.square(stamp_s * rate))}
+        whole, parts = [], []
+        for name, Q_slow, Q_white, Q_fixed in zip(sensors, slow, white, fixed, strict=True):
+            declared_parts = {name: Q_slow, BY_NAME[name].white: Q_white}
             estimated = {part: self.factors.of(part) * Q for part, Q in declared_parts.items()}
             failing = self.factors.group_sigma(name)
             whole.append(failing**2 * sum(estimated.values(), Q_fixed))
@@ -161,11 +160,11 @@ def _position(m: Sensors) -> PositionPrior:
     white_m = np.outer([1.0, 1.0, 1.5], [n.sigma_white_m for n in navs])
     white = shared_fixes([n.joined.weights for n in navs]) * (white_m[:, :, None] * white_m[:, None])
     between_m = np.stack([n.joined.between_m for n in navs])
-    fixed = _independent(between_m**2)
+    fixed = _independent((m.jitter_s * m.velocities_enu_m_s) ** 2 + between_m**2)
     fixed += _fading(stamps, 0.5 * DYNAMIC_TIME_S * m.dynamic_m_s)
     fixed[2] += datum_m**2
     slow = gauss_markov_covariance(stamps, slow_m[:, None, None], time_s)
-    whitener, parts = m.errors(PositionPrior.sensors, slow, white, m.velocities_enu_m_s.T, fixed)
+    whitener, parts = m.errors(PositionPrior.sensors, slow, white, fixed)
     persistent = persistent_sigma(stamps, slow_m * m.factors.slow_sigma(POSITION), time_s)
     return PositionPrior(
         m.layout,
@@ -192,6 +191,7 @@ def _velocity(m: Sensors) -> list[Prior]:
     if not m.config.solve.velocity or not known.any():
         return []
     stamps, velocities = m.stamps_s, m.velocities_enu_m_s
+    speed = np.linalg.norm(velocities, axis=1)
     dt = np.maximum(np.diff(stamps), 0.05)
     middle = 0.5 * (stamps[1:] + stamps[:-1])
     # The white error lasts about a second: over longer intervals it averages.
@@ -199,11 +199,10 @@ def _velocity(m: Sensors) -> list[Prior]:
     slow_m = dt * velocity_sigma_m_s(m.config, m.keyframes)
     slow = np.outer(slow_m, slow_m) * gauss_markov_covariance(middle, 1.0, gps.velocity_correlation_time_s)
     # An interval over a gap of the telemetry says nothing; those about it do.
-    unknown = np.where(known, 0.0, UNKNOWN_M**2)
+    unknown = np.where(known, (m.jitter_s * np.hypot(speed[1:], speed[:-1])) ** 2, UNKNOWN_M**2)
     turning = _fading(middle, dt * np.maximum(m.dynamic_m_s[1:], m.dynamic_m_s[:-1]))
     fixed = between_covariance(displacement) + np.diag(unknown) + turning
-    by_stamps = np.where(known, np.hypot(velocities[1:].T, velocities[:-1].T), 0.0)
-    whitener, parts = m.errors(VelocityPrior.sensors, [slow] * 3, [white] * 3, by_stamps, fixed)
+    whitener, parts = m.errors(VelocityPrior.sensors, [slow] * 3, [white] * 3, fixed)
     return [
         VelocityPrior(
             m.layout,
@@ -255,12 +254,12 @@ def _attitude(m: Sensors) -> list[Prior]:
     between = np.array([k.nav.attitude_sigma_rad for k in keyframes])
     # A gimbal's yaw that counts from nowhere is off by one angle, a state of each window. (5.18)
     zero = np.array([k.nav.yaw_sigma_rad for k in keyframes])
-    fixed = _independent(np.tile(between[:, None] ** 2, 3))
+    fixed = _independent(between[:, None] ** 2 + (m.jitter_s * turning) ** 2)
     fixed[2] += _fading(stamps, m.turning_rad(turning[:, 2])) + np.outer(zero, zero)
     time_s = config.solve.attitude_correlation_time_s
     slow = [gauss_markov_covariance(stamps, declared(config, name), time_s) for name in AttitudePrior.sensors]
     white = [declared(config, BY_NAME[name].white) ** 2 * np.eye(len(stamps)) for name in AttitudePrior.sensors]
-    whitener, parts = m.errors(AttitudePrior.sensors, slow, white, turning.T, fixed)
+    whitener, parts = m.errors(AttitudePrior.sensors, slow, white, fixed)
     persistent = persistent_sigma(stamps, attitude_sigma_rad(config, m.factors), time_s)
     persistent = np.hypot(persistent, [0.0, 0.0, zero.mean()])
     by_heading = cosine_sine_of_heading(R_enu_body)

@@ -14,7 +14,6 @@ import numpy as np
 from onboard.config.schema import Config
 
 POSITION, VELOCITY, TILT, HEADING = "position", "velocity", "tilt", "heading"
-STAMP = "stamp"  # each picture's own: a white error wherever the vehicle moves or turns, (5.11)
 
 
 @dataclass(frozen=True)
@@ -47,8 +46,7 @@ SENSORS = (
 BY_NAME = {s.name: s for s in SENSORS}
 # The parts whose variances are estimated, each by its name: where it is configured, and in which unit.
 PARTS = {name: (key, s.unit) for s in SENSORS for name, key in ((s.name, s.sigma), (s.white, s.white_sigma))}
-PARTS[STAMP] = "camera.sigma_jitter_s", "s"
-CLAIMED = {STAMP, *(s.name for s in SENSORS if s.has_claim)}  # parts that count for no less than declared
+CLAIMED = frozenset(s.name for s in SENSORS if s.has_claim)  # parts that count for no less than declared
 
 
 def configured(config: Config, key: str) -> float:
@@ -58,7 +56,7 @@ def configured(config: Config, key: str) -> float:
 
 
 def declared(config: Config, part: str) -> float:
-    """One sigma of a part as configured: m, m/s, rad or s."""
+    """One sigma of a part as configured: m, m/s or rad."""
     key, unit = PARTS[part]
     value = configured(config, key)
     return float(np.radians(value)) if unit == "deg" else value

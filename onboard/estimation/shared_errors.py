@@ -18,7 +18,7 @@ from onboard.estimation.boresight import PlatformEstimate
 from onboard.estimation.factors import AttitudePrior, PositionPrior, Prior, SharedPrior, State
 from onboard.estimation.platform_states import BORESIGHT, DELAY, HEADING, OFFSET, PLANE, VELOCITY_DELAY
 from onboard.estimation.sensor_factors import attitude_sigma_rad, cosine_sine_of_heading
-from onboard.estimation.sensor_table import BY_NAME, STAMP, declared
+from onboard.estimation.sensor_table import BY_NAME, declared
 from onboard.estimation.variance_components import VarianceFactors
 from onboard.navigation.navigator import NavState
 
@@ -101,11 +101,11 @@ def make_sensor_pose(
     R_cam_enu: Array,
     factors: VarianceFactors,
     lever_cam_m: Array,
-    rate_rad_s: float = 0.0,
+    stamp_error: tuple[float, float] = (0.0, 0.0),
 ) -> SensorPose:
     """The camera's pose by sensors alone, its errors by nuisance parameter, and what is the picture's own.
 
-    `rate_rad_s`: how fast the vehicle turns.
+    `stamp_error`: one sigma of the picture's own stamp (s), and how fast the vehicle turns (rad/s).
     """
     solve, gps = config.solve, config.gps
     speed = np.zeros(3) if nav.velocity_enu_m_s is None else nav.velocity_enu_m_s
@@ -121,7 +121,7 @@ def make_sensor_pose(
     late_s = np.linalg.norm([*(factor[OFFSET] + factor[DELAY]), gps.sigma_latency_s])
     by_nuisance[3:6, ALIGNMENT.start : ALIGNMENT.stop - 1] = R_cam_enu.T @ factor[BORESIGHT, BORESIGHT]
     by_nuisance[:3, ALIGNMENT.stop - 1] = speed * late_s
-    jitter_s = declared(config, STAMP) * factors.sigma(STAMP)
+    jitter_s, rate_rad_s = stamp_error
     position_m = nav.sigma_white_m * np.array([1.0, 1.0, 1.5])
     white_rad = [declared(config, w) * factors.sigma(w) for w in (BY_NAME[n].white for n in AttitudePrior.sensors)]
     own = np.diag(np.square([*position_m, *np.hypot(white_rad, rate_rad_s * jitter_s), 0.0]))

@@ -59,7 +59,7 @@ class Window:
         self.solved: Solved | None = None
         self.memory = Memory()
         self.refusal = ""  # why the newest window has no solution, in words; empty if it has one
-        self.noise = Noise(config.solve.pixel_sigma_px)
+        self.noise = Noise(config.solve.pixel_sigma_px, config.camera.sigma_jitter_s)
         self.terrain: Terrain | None = None  # of the area flown over, if known
         self.alignment = Alignment(
             np.radians(mount.sigma_deg),
@@ -131,7 +131,7 @@ class Window:
             R_cam_enu,
             self.noise.factors_at(nav.stamp_ns),
             self.R_body_cam.T @ np.array(self.config.mount.lever_arm_m),
-            float(rate),
+            (self.noise.jitter_s, float(rate)),
         )
 
     def position_guess(self, nav: NavState) -> Array:

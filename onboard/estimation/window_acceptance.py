@@ -82,9 +82,11 @@ def by_itself(
     layout: Layout,
     kept: Array,
     good: Mask,
-    priors: Sequence[Prior],
+    before: Sequence[Prior],
 ) -> str | None:
-    """What speaks against a solution; None if nothing does. `kept` (K, P) weights, `good` (P,) points."""
+    """What speaks against a solution; None if nothing does. `kept` (K, P) weights, `good` (P,) points, `before`: the
+    sensors as weighted by earlier windows.
+    """
     offset = s.state.points_enu_m - s.state.centres_enu_m[:, None]
     depth = np.einsum("kj,kpj->kp", s.state.R_cam_enu[:, 2], offset)
     used = kept > 0
@@ -97,7 +99,7 @@ def by_itself(
         return "the ground is a wall"
     if np.linalg.eigvalsh(s.covariance)[0] <= 0.0:
         return "the solution has no covariance"
-    for prior in priors:
+    for prior in before:
         r = prior.evaluate(s.state)[0]
         # No shared state (mount, delay) may be far from its prior: a moving scene is often explained that way.
         # A lens may: what a camera file without sigmas is off by is assumed of lenses, and hardly depends on the scene.

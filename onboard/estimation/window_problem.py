@@ -52,9 +52,11 @@ class WindowProblem:
     def problem(self, noise: Noise) -> Problem:
         """What is minimised, weighted by this noise."""
         request, unweighed = self.request, self.unweighed
-        sensors = Sensors(request.config, request.R_body_cam, self.keyframes, self.layout, noise.factors)
+        sensors = Sensors(
+            request.config, request.R_body_cam, self.keyframes, self.layout, noise.factors, noise.jitter_s
+        )
         priors = sensors.priors(request.platform, unweighed.terrain is not None, request.slope)
-        return replace(unweighed, priors=[*priors, *unweighed.priors])
+        return replace(unweighed, weight=unweighed.weight / noise.noise_inflation, priors=[*priors, *unweighed.priors])
 
     def weighed(self, noise: Noise, state: State) -> Weighed:
         """The first solve, weighted by this noise, from a state."""

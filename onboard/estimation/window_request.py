@@ -29,6 +29,8 @@ class Noise:
     """The flight's own noise as estimated so far; every window is weighted by it and updates it a little."""
 
     pixel_sigma_px: float
+    jitter_s: float
+    noise_inflation: float = 1.0  # times the sigma that the tracks' own residuals show
     factors: VarianceFactors = field(default_factory=VarianceFactors)
     failing: Failing = field(default_factory=Failing)  # sensors that contradict the others
 

@@ -15,7 +15,7 @@ from contract.camera import Camera
 from contract.feature_set import Status
 from onboard.estimation import camera_states, ground_roughness, moved_optics, row_waves, window_problem, window_start
 from onboard.estimation.bundle_adjustment import Problem, Solution, solve
-from onboard.estimation.factors import WAVES, Layout, Prior
+from onboard.estimation.factors import WAVES, AttitudePrior, Layout, Prior, VelocityPrior
 from onboard.estimation.ground_motion import GroundMotion, ground_motion, ground_sigma_m_s
 from onboard.estimation.keyframe import Keyframe, have_attitude
 from onboard.estimation.pixel_noise import fit_of
@@ -53,6 +53,9 @@ MIN_TRACK_INLIERS = 2.0 / 3.0  # of one track's measurements, (6.15)
 MIN_VIEW_INLIERS = 0.3  # of one picture's measurements; below it nothing ties that picture to the others
 MIN_PIXEL_SIGMA_PX = 0.08  # tracks have common errors, larger than their residuals show
 WEIGHING_ROUNDS = 5
+TOLERATED_RMS = 1.3  # of velocity's and attitude's whitened residuals
+MAX_JITTER_S = 0.02
+MAX_NOISE_INFLATION = 2.0
 WAVE_ROUNDS = 2
 MIN_CHANGE = 0.3  # of a variance's logarithm, by which it must change to weigh a window again
 
@@ -120,19 +123,19 @@ def _adjusted(request: Request) -> Outcome:
     weighed, failed = _without_failing_sensors(window, first)
     # What follows is judged by what earlier windows found of the sensors, and by which of them fail.
     request = replace(request, noise=weighed.noise)
-    weighed = _settled(request, window, weighed)
+    weighed, noise = _settled(request, window, weighed)
     own_share = _depth_share_without_known_ground(window, weighed)
     if own_share > MAX_DEPTH_SIGMA:
         reason = f"little parallax: depths known to {100.0 * own_share:.0f} % only, without the terrain model"
-        return Outcome(Status.LOW_PARALLAX, window.keyframes, request.noise, reason=reason)
+        return Outcome(Status.LOW_PARALLAX, window.keyframes, noise, reason=reason)
     window, weighed = _with_waves(window, weighed)
     hold = ground_roughness.correlated(weighed.problem, weighed.solution, window.unweighed.ground_weight)
-    least_own = MIN_PIXEL_SIGMA_PX / weighed.noise.pixel_sigma_px
+    least_own = MIN_PIXEL_SIGMA_PX / (weighed.noise.pixel_sigma_px * weighed.noise.noise_inflation)
     adjusted = refine(replace(weighed.problem, ground_weight=hold), weighed.solution, least_own, request.camera_file)
     if adjusted is None:
-        return Outcome(Status.POOR_FIT, window.keyframes, request.noise, reason="nearly all measurements are outliers")
+        return Outcome(Status.POOR_FIT, window.keyframes, noise, reason="nearly all measurements are outliers")
     judged = _judged(request, window, weighed, adjusted)
-    return replace(judged, weighed=weighed, noise=_learned(request, weighed, adjusted, judged, failed))
+    return replace(judged, weighed=weighed, noise=_learned(request, noise, weighed, adjusted, judged, failed))
 
 
 def _without_failing_sensors(window: WindowProblem, weighed: Weighed) -> tuple[Weighed, set[str]]:
@@ -156,16 +159,17 @@ def _without_failing_sensors(window: WindowProblem, weighed: Weighed) -> tuple[W
     return window.weighed(noise, weighed.solution.state), failed
 
 
-def _settled(request: Request, window: WindowProblem, weighed: Weighed) -> Weighed:
-    """The window weighted until its own residuals ask for no other variances of the sensors. (13.2)"""
+def _settled(request: Request, window: WindowProblem, weighed: Weighed) -> tuple[Weighed, Noise]:
+    """The window weighted until its own residuals ask for no other weights, and the noise that the next one is."""
+    noise = weighed.noise
     for _ in range(WEIGHING_ROUNDS):
-        first, used = weighed.solution, weighed.noise.factors
-        evidence = evidence_of(weighed.problem.priors, first.state, first.covariance, used)
-        own = request.noise.factors.with_evidence(evidence, request.keyframes[-1].nav.stamp_ns)
-        if all(abs(np.log(own.of(n) / used.of(n))) <= MIN_CHANGE for n in PARTS):
+        noise, again = _reweighed(request, weighed)
+        if not again:
+            noise, again = _with_own_evidence(request, noise, weighed)
+        if not again:
             break
-        weighed = window.weighed(replace(weighed.noise, factors=own), first.state)
-    return weighed
+        weighed = window.weighed(noise, weighed.solution.state)
+    return weighed, noise
 
 
 def _depth_share_without_known_ground(window: WindowProblem, weighed: Weighed) -> float:
@@ -193,9 +197,11 @@ def _with_waves(window: WindowProblem, weighed: Weighed) -> tuple[WindowProblem,
     return window, weighed
 
 
-def _learned(request: Request, weighed: Weighed, adjusted: Adjusted, judged: Outcome, failed: set[str]) -> Noise:
-    """What the next window is weighted by: with the sensors' evidence where the window was accepted."""
-    factors, failing = replace(request.noise.factors, groups={}), request.noise.failing
+def _learned(
+    request: Request, noise: Noise, weighed: Weighed, adjusted: Adjusted, judged: Outcome, failed: set[str]
+) -> Noise:
+    """What the next window is weighted by: `noise`, with the sensors' evidence where the window was accepted."""
+    factors, failing = replace(request.noise.factors, groups={}), noise.failing
     if judged.status is Status.OK:
         start_ns, end_ns = request.keyframes[0].nav.stamp_ns, request.keyframes[-1].nav.stamp_ns
         used, solution = weighed.noise.factors, adjusted.solution
@@ -203,7 +209,41 @@ def _learned(request: Request, weighed: Weighed, adjusted: Adjusted, judged: Out
         factors = factors.with_evidence(evidence, end_ns, 1.0 / len(request.keyframes))
         groups = request.noise.factors.groups
         failing = failing.after(start_ns, end_ns, {name: groups[name] for name in failed})
-    return Noise(judged.noise.pixel_sigma_px, factors, failing)
+    return replace(noise, pixel_sigma_px=judged.noise.pixel_sigma_px, factors=factors, failing=failing)
+
+
+def _with_own_evidence(request: Request, used: Noise, weighed: Weighed) -> tuple[Noise, bool]:
+    """The sensors' variances with what this window itself says of them; True if that changes its weights. (13.2)"""
+    first = weighed.solution
+    evidence = evidence_of(weighed.problem.priors, first.state, first.covariance, used.factors)
+    own = request.noise.factors.with_evidence(evidence, request.keyframes[-1].nav.stamp_ns)
+    changed = any(abs(np.log(own.of(n) / used.factors.of(n))) > MIN_CHANGE for n in PARTS)
+    return (replace(used, factors=own), True) if changed else (used, False)
+
+
+def _reweighed(request: Request, weighed: Weighed) -> tuple[Noise, bool]:
+    """Stamp jitter and noise inflation from velocity and attitude residuals; True if weights changed.
+
+    Stamps that are off by some milliseconds (photographs, USB) raise both residuals at once, and are allowed for first.
+    What disagreement remains is the picture's: a calibration's error moves many features together, biases the poses and
+    hardly shows in the features' own residuals. The sigma of all pixels is then raised until both sides agree. (6.7)
+    """
+    noise, state = weighed.noise, weighed.solution.state
+    kinds = VelocityPrior | AttitudePrior if have_attitude(request.keyframes) else VelocityPrior
+    measured = [p.evaluate(state)[0] for p in weighed.problem.priors if isinstance(p, kinds)]
+    if not measured:
+        return noise, False
+    rms = max(float(np.sqrt(np.mean(r**2))) for r in measured)
+    if rms > TOLERATED_RMS:
+        if noise.jitter_s < MAX_JITTER_S:
+            return replace(noise, jitter_s=min(max(noise.jitter_s, 0.003) * min(rms, 3.0), MAX_JITTER_S)), True
+        if noise.noise_inflation < MAX_NOISE_INFLATION:
+            return replace(noise, noise_inflation=min(noise.noise_inflation * min(rms, 2.0), MAX_NOISE_INFLATION)), True
+    elif rms < 1.0 / TOLERATED_RMS:
+        least_s = request.config.camera.sigma_jitter_s
+        jitter_s, inflation = max(0.95 * noise.jitter_s, least_s), max(0.95 * noise.noise_inflation, 1.0)
+        return replace(noise, jitter_s=jitter_s, noise_inflation=inflation), False
+    return noise, False
 
 
 def _judged(request: Request, window: WindowProblem, weighed: Weighed, adjusted: Adjusted) -> Outcome:
@@ -225,7 +265,7 @@ def _judged(request: Request, window: WindowProblem, weighed: Weighed, adjusted:
     if left.min() < MIN_VIEW_INLIERS:
         return refused(Status.POOR_FIT, f"a picture contradicts the others: {left.min():.0%} of its features agree")
     fit = fit_of(s.residual_sigmas, layout)
-    sigma_px = noise.pixel_sigma_px * own * fit
+    sigma_px = noise.pixel_sigma_px * noise.noise_inflation * own * fit
     if sigma_px > MAX_FIT_SIGMAS * config.solve.pixel_sigma_px * max(1.0, camera.width_px / 640.0):
         return refused(Status.POOR_FIT, f"large residuals: {sigma_px:.1f} px")
     depth = np.einsum("kj,kpj->kp", s.state.R_cam_enu[:, 2], s.state.points_enu_m - s.state.centres_enu_m[:, None])
@@ -253,8 +293,8 @@ def _judged(request: Request, window: WindowProblem, weighed: Weighed, adjusted:
     if against is not None:
         return refused(Status.POOR_FIT, against)
     solved = _solved(request, window, s, good, sigma_px, moving, keyframes, priors)
-    # The tracking noise is updated slowly, so that one odd window changes little. (6.7)
-    learned = noise.pixel_sigma_px * (own * fit) ** 0.3
+    # The tracking noise is updated slowly, so that one odd window changes little.
+    learned = noise.pixel_sigma_px * (own * fit * noise.noise_inflation) ** 0.3
     noise = replace(noise, pixel_sigma_px=float(np.clip(learned, MIN_PIXEL_SIGMA_PX, 5.0)))
     agreed = request.memory.compared(solved)
     remembered = by_memory(request.memory, agreed)

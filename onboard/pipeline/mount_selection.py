@@ -167,7 +167,7 @@ def _request(window: Window, hypothesis: MountHypothesis, noise: Noise | None = 
         return None
     attitudes = [R for nav in navs if (R := window.attitude_guess(nav)) is not None]  # all of them have one
     keyframes = turned([replace(k, nav=nav) for k, nav in zip(window.keyframes, navs, strict=True)], attitudes)
-    noise = noise or Noise(window.config.solve.pixel_sigma_px)
+    noise = noise or Noise(window.config.solve.pixel_sigma_px, window.config.camera.sigma_jitter_s)
     return replace(window.prepare(is_mount_open=True), keyframes=keyframes, previous=None, noise=noise)
 
 

@@ -114,7 +114,7 @@ def test_the_answer_to_moving_ground_is_the_solutions_own(speed_m_s: tuple[float
     a, b = before.solved.solution, after.solved.solution
     layout = before.solved.layout
     noise = before.noise
-    sensors = Sensors(request.config, request.R_body_cam, before.keyframes, layout, noise.factors)
+    sensors = Sensors(request.config, request.R_body_cam, before.keyframes, layout, noise.factors, noise.jitter_s)
     priors = sensors.priors(request.platform, False)
     answer = ground_motion(before.keyframes, priors, a.state, a.covariance, 1.0)
     axis = int(np.argmax(np.abs(speed)))

@@ -85,7 +85,7 @@ def test_of_two_solutions_the_less_noisy_ones_weights_decide_and_not_each_ones_o
     request = scene.window().prepare()
     true = _adjusted(request)
     assert true.solved is not None and true.weighed is not None
-    excused = replace(request, noise=replace(request.noise, pixel_sigma_px=2.0 * request.noise.pixel_sigma_px))
+    excused = replace(request, noise=replace(request.noise, noise_inflation=2.0))
     wrong = _adjusted(replace(begun_mirrored(request), noise=excused.noise))
     assert wrong.weighed is not None
     assert wrong.weighed.solution.cost < true.weighed.solution.cost + 50.0  # by its own weights it seems to fit

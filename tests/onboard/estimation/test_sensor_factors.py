@@ -42,7 +42,7 @@ def priors_of(
     R_body_cam = mount_rotation(mount.roll_deg, mount.pitch_deg, mount.yaw_deg)
     layout = Layout(len(keyframes))
     found = VarianceFactors() if factors is None else factors
-    sensors = Sensors(config, R_body_cam, keyframes, layout, found)
+    sensors = Sensors(config, R_body_cam, keyframes, layout, found, JITTER_S)
     return {type(p): p for p in sensors.priors(PLATFORM, has_terrain)}
 
 

@@ -22,7 +22,7 @@ from onboard.estimation.factors import (
     whitener_of,
 )
 from onboard.estimation.platform_states import STATES
-from onboard.estimation.sensor_table import BY_NAME, CLAIMED, HEADING, PARTS, POSITION, STAMP, TILT, VELOCITY
+from onboard.estimation.sensor_table import BY_NAME, CLAIMED, HEADING, PARTS, POSITION, TILT, VELOCITY
 from onboard.estimation.variance_components import (
     MEMORY_S,
     PRIOR_COUNT,
@@ -35,7 +35,7 @@ Array = NDArray[np.float64]
 K = 10
 LAYOUT = Layout(K)
 STAMPS_S = np.arange(K) * 1.0
-SLOW_M, WHITE_M, SLOW_RAD, WHITE_RAD, VELOCITY_M_S, STAMP_S = 1.5, 0.3, 0.01, 0.002, 0.1, 0.02
+SLOW_M, WHITE_M, SLOW_RAD, WHITE_RAD, VELOCITY_M_S = 1.5, 0.3, 0.01, 0.002, 0.1
 WANDER_S, ATTITUDE_S, VELOCITY_S = 20.0, 8.0, 8.0
 STATE = State(np.stack([np.eye(3)] * K), np.zeros((K, 3)), np.zeros((0, 3)), np.zeros(STATES), np.zeros(3))
 T_NS = 1_000_000_000
@@ -77,17 +77,7 @@ def attitude(rng: np.random.Generator, variance: float, scale: float) -> tuple[P
     return prior, LAYOUT.rotations()
 
 
-def stamp(rng: np.random.Generator, variance: float, scale: float) -> tuple[Prior, Array]:
-    """Positions of a vehicle that has moved on or not yet come where a picture's stamp is off. (5.11)"""
-    white = WHITE_M**2 * np.eye(K)
-    moved = [np.square(STAMP_S * speed_m_s) * np.eye(K) for speed_m_s in (20.0, 12.0, 2.0)]
-    off = np.stack([error(rng, variance * Q + white) for Q in moved], axis=1)
-    W = np.stack([whitener_of(scale * Q + white) for Q in moved])
-    parts = tuple({STAMP: scale * Q} for Q in moved)
-    return PositionPrior(LAYOUT, off, np.zeros((K, 3)), W, np.zeros(K), parts=parts), LAYOUT.centres()
-
-
-SENSORS = {POSITION: position, VELOCITY: velocity, TILT: attitude, HEADING: attitude, STAMP: stamp}
+SENSORS = {POSITION: position, VELOCITY: velocity, TILT: attitude, HEADING: attitude}
 Make = Callable[[np.random.Generator, float, float], tuple[Prior, Array]]
 
 
