@@ -126,8 +126,8 @@ def likelier(request: Request, one: Outcome, two: Outcome) -> Outcome:
     if preferred and (worse.is_minimum or have_attitude(request.keyframes)):  # else its cost may fall yet
         return better
     accepted, other = (one, two) if one.solved is not None else (two, one)
-    gain = _gain(first, second, problem) if accepted is one else _gain(second, first, problem)
-    is_dismissed = other.status is Status.POOR_FIT or gain > 0.5 * CLEAR
+    gain, _ = _gain(first, second, problem)
+    is_dismissed = other.status is Status.POOR_FIT or (gain if accepted is one else -gain) > 0.5 * CLEAR
     if other.solved is None and other.is_minimum and is_dismissed:
         return accepted
     # Exactly: the first solves stop so early that one minimum found twice may lie a sigma from itself.
@@ -175,20 +175,17 @@ def _preferred(one: Solution, two: Solution, problem: Problem) -> int:
 
     In units of the noise that the better one's residuals show, where they show more than was assumed.
     """
-    gain, by_point = _gain(one, two, problem), cost_by_point(two) - cost_by_point(one)
-    spread = float(np.linalg.norm(by_point - by_point.mean())) / _noise_of_better(one, two, problem)
+    (gain, scale), by_point = _gain(one, two, problem), cost_by_point(two) - cost_by_point(one)
+    spread = float(np.linalg.norm(by_point - by_point.mean())) / scale
     if abs(gain) < max(0.5 * CLEAR, CLEAR_SIGMAS * spread):
         return 0
     return 1 if gain > 0.0 else 2
 
 
-def _gain(one: Solution, two: Solution, problem: Problem) -> float:
-    """How much likelier the first is than the second: the logarithm of the ratio."""
-    return (two.cost - one.cost) / _noise_of_better(one, two, problem)
-
-
-def _noise_of_better(one: Solution, two: Solution, problem: Problem) -> float:
-    return _noise_shown(one if one.cost < two.cost else two, problem)
+def _gain(one: Solution, two: Solution, problem: Problem) -> tuple[float, float]:
+    """How much likelier the first is than the second, the ratio's logarithm; and the better one's noise, its unit."""
+    scale = _noise_shown(one if one.cost < two.cost else two, problem)
+    return (two.cost - one.cost) / scale, scale
 
 
 def _noise_shown(solution: Solution, problem: Problem) -> float:

@@ -30,7 +30,7 @@ MIN_STRAY_M = 0.3  # least sigma of the ground about its plane, by the points th
 
 
 def approximate(problem: Problem, state: State, tolerance: float = 3e-4) -> Solution:
-    """The first of the two solves: robust, only as exact as finding outliers needs."""
+    """The first of the two solves: robust, by default only as exact as finding outliers needs."""
     return solve(problem, state, scale=FIRST_SCALE, tolerance=tolerance)
 
 

@@ -135,10 +135,8 @@ def test_what_fits_as_well_but_is_known_too_badly_to_be_published_is_not_refuted
     contradicted = replace(true, status=Status.POOR_FIT)
     assert likelier(request, wrong, contradicted) is wrong
     # But one that fits better by (16.8) stands against it: a climb at 1.5 m/s was not answered at all otherwise.
-    better, worse = (
-        replace(true, status=Status.OK, solved=wrong.solved),
-        replace(wrong, status=true.status, solved=None),
-    )
+    better = replace(true, status=Status.OK, solved=wrong.solved)
+    worse = replace(wrong, status=true.status, solved=None)
     assert likelier(request, worse, better) is better and likelier(request, better, worse) is better
 
 
