@@ -24,15 +24,20 @@ GPS_ALONE = replace_section(parse_config(""), "solve", **SENSORS["gps"])
 RATE_HZ = 2.0
 
 
-@pytest.mark.parametrize("seed", rest_long([3, 2]))
-def test_a_climb_on_camera_and_gps_is_answered_and_its_ellipses_hold(seed: int) -> None:
-    score = judge(Scene("qp_climb", GPS_ALONE, 0.0, 30.0), seed, warm_s=2.5)
-    ratio = np.array(score.ratio)
-    # Over 30 % of the height above ground a radius is no answer (`uncertain`): early in the climb some are.
-    assert score.answered["all"] > 0.7 * score.asked["all"]
+@pytest.mark.parametrize("seeds", rest_long([([3],), ([2, 3, 4, 5, 6, 7],)]))
+def test_a_climb_on_camera_and_gps_is_answered_and_its_ellipses_hold(seeds: list[int]) -> None:
+    """A draw is one error of the GPS: all clicks of one may lie near the ellipse's edge, so that coverage is of all."""
+    ratios = []
+    for seed in seeds:
+        score = judge(Scene("qp_climb", GPS_ALONE, 0.0, 30.0), seed, warm_s=2.5)
+        # Over 30 % of the height above ground a radius is no answer (`uncertain`): early in the climb some are.
+        assert score.answered["all"] > 0.7 * score.asked["all"]
+        # Nor by ellipses that hold anything.
+        assert np.median(score.error_m) < 12.0 and np.median(score.semi_m) < 25.0
+        ratios.append(score.ratio)
+    ratio = np.concatenate(ratios)
     assert ratio.max() < 2.0
-    assert np.mean(ratio < 1.0) > 0.75  # one GPS error: 82 % in the worse of two draws
-    assert np.median(score.error_m) < 12.0 and np.median(score.semi_m) < 25.0  # nor by ellipses that hold anything
+    assert np.mean(ratio < 1.0) > 0.85
 
 
 def long_climb(speed_m_s: float, seed: int, seconds: float) -> tuple[float, np.ndarray]:
