@@ -27,6 +27,9 @@ HERE = Path(__file__).resolve().parent
 RESULTS = HERE / "results.md"
 TIMEOUT_S = 7200.0
 
+CODECS = ("--seconds", "12", "--seeds", "1,2")
+FEW = ("--autopilots", "2")
+
 
 @dataclass(frozen=True)
 class Benchmark:
@@ -98,8 +101,26 @@ BENCHMARKS = (
     Benchmark(
         "source_codecs",
         "What compression costs",
-        ("--seconds", "12", "--autopilots", "8", "--kbit", "1000,2000,4000,8000"),
+        ("--size", "1280x720", *CODECS, "--autopilots", "8", "--kbit", "1000,2000,4000,8000"),
         ("--size", "320x240", "--seconds", "12", "--kbit", "500", "--seeds", "1", "--autopilots", "2"),
+    ),
+    Benchmark(
+        "source_codecs",
+        "What compression costs at 1080p",
+        ("--size", "1920x1080", *CODECS, "--autopilots", "4", "--kbit", "1000,2000,4000,8000"),
+        ("--size", "640x480", "--seconds", "12", "--kbit", "500", "--seeds", "1", "--autopilots", "2"),
+    ),
+    Benchmark(
+        "source_codecs",
+        "What compression costs with H.265",
+        ("--size", "1280x720", *CODECS, "--autopilots", "5", "--codecs", "H265", "--kbit", "1000,4000"),
+        ("--size", "320x240", "--seconds", "12", "--codecs", "H265", "--kbit", "500", "--seeds", "1", *FEW),
+    ),
+    Benchmark(
+        "source_codecs",
+        "What compression costs where packets are lost",
+        ("--seconds", "24", "--seeds", "2", "--autopilots", "5", "--kbit", "2000", "--loss", "0.01"),
+        ("--size", "320x240", "--seconds", "12", "--kbit", "500", "--loss", "0.01", "--seeds", "1", *FEW),
     ),
     Benchmark("real_flight", "The real flight"),
 )
@@ -118,8 +139,18 @@ def measured(benchmark: Benchmark, quick: bool) -> tuple[str, bool]:
     took_s = time.monotonic() - began
     is_good = done.returncode == 0
     said = done.stdout.strip() if is_good else f"NOT measured: {(done.stderr.strip().splitlines() or ['?'])[-1]}"
-    ran = f"`python -m {' '.join(command[2:])}`, {datetime.now(UTC):%Y-%m-%d %H:%M} UTC, {took_s:.0f} s"
+    ran = f"`python -m {' '.join(command[2:])}`, {datetime.now(UTC):%Y-%m-%d %H:%M} UTC, {took_s:.0f} s; {commit()}"
     return section(benchmark, ran, said), is_good
+
+
+def commit() -> str:
+    """The commit that is measured, and whether files differ from it."""
+    asked = ["git", "describe", "--always", "--dirty", "--abbrev=7", "--exclude", "*"]
+    try:
+        done = subprocess.run(asked, cwd=HERE, capture_output=True, text=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        return "of no known commit"
+    return done.stdout.strip()
 
 
 def one_thread() -> dict[str, str]:
@@ -139,18 +170,18 @@ def section(benchmark: Benchmark, ran: str, said: str) -> str:
 
 
 def merge(old: str, new: dict[str, str]) -> str:
-    """The file: sections by title, new ones in place of old, in the order of BENCHMARKS; those of none follow."""
+    """The file: sections by title, new ones in place of old, in the order of BENCHMARKS, and nothing else."""
     held = {part.split("\n", 1)[0]: f"## {part}" for part in re.split(r"(?m)^## ", old)[1:]}
     sections = {**held, **new}
     head = (
-        "# Measured\n\nWritten by `make bench`; each section names its machine. Processor time unless it says\n"
-        "otherwise; what is compared is run in turn in one process, and medians are shown.\n"
-        "Every benchmark has a section; one alone: `python -m benchmarks --only NAME`. By hand, with other arguments\n"
-        "than `make bench` gives: `python -m benchmarks.soak --minutes 60`, `benchmarks.accuracy --flights 1000`,\n"
+        "# Measured\n\nWritten by `make bench`; each section names its machine and commit. Processor time unless it\n"
+        "says otherwise; what is compared is run in turn in one process, and medians are shown. Every benchmark has a\n"
+        "section; one alone: `python -m benchmarks --only NAME`. What changes did, before and after, is in\n"
+        "[comparisons.md](comparisons.md). By hand, with other arguments than `make bench` gives:\n"
+        "`python -m benchmarks.soak --minutes 60`, `benchmarks.accuracy --flights 1000`,\n"
         "`benchmarks.autopilots --faults ... --mounts ...`, `benchmarks.picture_size FOLDER`.\n"
     )
-    titles = [b.title for b in BENCHMARKS]
-    ordered = [*(t for t in titles if t in sections), *(t for t in sections if t not in titles)]
+    ordered = [b.title for b in BENCHMARKS if b.title in sections]
     return "\n".join([head, *(sections[t].rstrip() + "\n" for t in ordered)])
 
 

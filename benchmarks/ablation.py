@@ -38,6 +38,10 @@ FIGURES = ("answered", "median", "90 %", "inside", "sharpness", "worst")
 COLUMNS = ("answered", "median m", "90 % m", "inside", "sharpness", "worst")
 UNITS = (" points", " %", " %", " points", "", "")
 
+LEGEND = """\
+First the means with everything on, then what switching off changes: mean and standard error of the paired differences,
+shares in points, errors in per cent; nan where a draw answers nothing without it."""
+
 
 def fly(trial: Trial, seed: int) -> Score:
     """One flight through the pipeline, and its clicks."""
@@ -125,6 +129,7 @@ def main() -> None:
     by_mechanism, began = own(), time.process_time()
     print(f"{describe()}\n")
     print(f"{args.draws} draws; ordinary: {'; '.join(t.name for t in ORDINARY)}; {ORDINARY_SECONDS:.0f} s each.\n")
+    print(f"{LEGEND}\n")
     columns = "answered | median m | 90 % m | inside | sharpness | worst | " + " | ".join(
         f"change of {f}" for f in FIGURES
     )

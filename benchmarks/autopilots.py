@@ -240,7 +240,7 @@ def judge(scene: Scene, seed: int, warm_s: float = 30.0) -> Score:
     score.learned = " ".join(
         f"{m * 180 / np.pi:+.2f}±{s * 180 / np.pi:.2f}" for m, s in zip(mean[:3], sigma[:3], strict=True)
     )
-    score.learned += " deg " + " ".join(f"{m:+.3f}±{s:.3f}" for m, s in zip(mean[3:], sigma[3:], strict=True)) + " s"
+    score.learned += " deg " + " ".join(f"{m:+.3f}±{s:.3f}" for m, s in zip(mean[3:], sigma[3:], strict=True))
     return score
 
 
@@ -323,9 +323,18 @@ def seed_of(name: str, seed: int) -> int:
     return seed + 1000 * (zlib.crc32(Path(name).name.encode()) % 1000)
 
 
+LEGEND = """\
+answ, bank: clicks answered, %; of those asked above 30 degrees of bank. med, 90%: error, m; flat: the flat ray's. Then
+coverage of the 90 % ellipse by bank (degrees) and of all, of the 99 % ellipse, the worst error over its 90 % ellipse;
+beyond, flat: both medians beyond the position's own error, and their ratio. Of a single flight also processor time and
+what was estimated: boresight (deg), delays of stamps, position and velocity (s), the heading's error by the heading's
+cosine and sine (rad); and the refusals."""
+
+
 def report(results: Iterable[tuple[str, Score, float]]) -> None:
     """Print a row for every scene as it comes, and one for each set of sensors."""
     print(f"{describe()}\n")
+    print(f"{LEGEND}\n")
     columns = "answ bank | med   90%  | flat med 90% | 0-5  5-15 15-30 >30 | all  in99 worst | beyond flat ratio"
     print(f"{'scene':<38} {columns}")
     scenes: dict[str, list[Score]] = {}

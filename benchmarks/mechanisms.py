@@ -81,6 +81,18 @@ def _declared(problem: Any, first: Any, ground_weight: Any) -> Any:
     return ground_weight
 
 
+def _as_weighed(request: Any, weighed: Any) -> tuple[Any, bool]:
+    return weighed.noise, False
+
+
+def _as_used(request: Any, used: Any, weighed: Any) -> tuple[Any, bool]:
+    return used, False
+
+
+def _no_profile(request: Any, found: Any) -> tuple[Any, None]:
+    return found, None
+
+
 def _no_zoom(window: Any, weighed: Any) -> tuple[moved_optics.Excess, moved_optics.Excess]:
     nothing = moved_optics.Excess(0.0, 1, 1.0)
     return nothing, nothing
@@ -98,6 +110,16 @@ MECHANISMS = (
         "variance components",
         "sensors' variances stay as configured",
         ((variance_components.VarianceFactors, "with_evidence", _untouched),),
+    ),
+    Mechanism(
+        "stamp jitter",
+        "stamps are off by what is declared, and pixels by what they show, (6.7)",
+        ((window_solver, "_reweighed", _as_weighed),),
+    ),
+    Mechanism(
+        "second weighing",
+        "a window is weighted by what earlier ones found, not by its own residuals, (13.2)",
+        ((window_solver, "_with_own_evidence", _as_used),),
     ),
     Mechanism(
         "re-estimated prior",
@@ -127,6 +149,11 @@ MECHANISMS = (
         "ground weight", "points are held to the ground as configured", ((ground_roughness, "correlated", _declared),)
     ),
     Mechanism("second start", "every window is solved from one start", ((window_solver, "other_starts", gives(())),)),
+    Mechanism(
+        "headings all round",
+        "a heading is as well known as its covariance claims, (16.10)",
+        ((window_solver, "by_profile", _no_profile),),
+    ),
     Mechanism(
         "reobservation",
         "windows are not compared by points seen again",

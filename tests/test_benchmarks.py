@@ -248,10 +248,18 @@ def test_results_keep_what_was_not_measured_again() -> None:
     assert "old" not in again
     assert "two" in again
     assert merge(again, {}) == again
-    by_hand = again + "\n## Figures of none\n\nWritten by hand.\n"
-    assert merge(by_hand, {one.title: section(one, "ran", "newer")}).endswith(
-        "## Figures of none\n\nWritten by hand.\n"
-    )
+    of_none = again + "\n## Of a benchmark that is gone\n\nOld.\n"
+    assert merge(of_none, {}) == again
+
+
+def test_results_hold_what_programs_printed_and_nothing_by_hand() -> None:
+    """`make bench` writes the file again: what somebody had written into it would be lost."""
+    text = RESULTS.read_text(encoding="utf-8")
+    assert merge(text, {}) == text
+    for part in re.split(r"(?m)^## ", text)[1:]:
+        title, ran, *printed = re.sub(r"(?ms)^```$.*?^```$", "", part).split("\n\n")
+        assert ran.startswith("`python -m benchmarks."), title
+        assert all(not block.strip() or block.lstrip().startswith("|") for block in printed), title
 
 
 @pytest.mark.parametrize("name", [b.module for b in BENCHMARKS])
