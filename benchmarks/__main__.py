@@ -27,6 +27,7 @@ HERE = Path(__file__).resolve().parent
 RESULTS = HERE / "results.md"
 TIMEOUT_S = 7200.0
 
+RECORDED = ("--recordings", ",".join(STARTS), "--seconds", "240", "--seed", "3")
 CODECS = ("--seconds", "12", "--seeds", "1,2")
 FEW = ("--autopilots", "2")
 
@@ -48,8 +49,14 @@ BENCHMARKS = (
     Benchmark(
         "autopilots",
         "With recorded autopilots",
-        ("--recordings", ",".join(STARTS), "--seconds", "240", "--seed", "3", "--draws", "3"),
+        (*RECORDED, "--draws", "3"),
         ("--recordings", "plane_clean", "--seconds", "40"),
+    ),
+    Benchmark(
+        "autopilots",
+        "With recorded autopilots over hills",
+        (*RECORDED, "--draws", "2", "--faults", "hills"),
+        ("--recordings", "plane_clean", "--seconds", "40", "--faults", "hills"),
     ),
     Benchmark(
         "ablation", "What each mechanism buys", (), ("--mechanisms", "row waves", "--draws", "2", "--flights", "own")

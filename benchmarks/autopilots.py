@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 from benchmarks.click_score import FLIGHT_GOAL, POOLED_GOAL, Score, add, clicks, row, sharpness_header, sharpness_row
 from benchmarks.machine import describe
 from benchmarks.platform_faults import BELIEVED, FAULTS, LENS
-from benchmarks.sampled_flight import Ground, Mask, SampledTracker, Valley, replace_section
+from benchmarks.sampled_flight import Ground, Mask, SampledTracker, replace_section
 from benchmarks.sensor_faults import Disturbance, disturbed
 from contract.camera import Camera
 from contract.feature_set import FeatureSet
@@ -80,7 +80,7 @@ class Scene:
     relief_sigma_m: float = 2.0
     slope_deg: float = 0.0
     rises_towards_deg: float = 36.9  # counted from north
-    is_valley: bool = False  # the slope on either side of a line through the first place, falling towards it
+    ground: type[Ground] = Ground  # `Valley`: the slope on either side of a line through the first place
     disturbances: tuple[Disturbance, ...] = ()
     wander_m: float = 1.5
     pixel_sigma_px: float = 0.3
@@ -123,7 +123,7 @@ class ReplayedFlight:
         self.centres_enu_m = np.stack([p.centre_m for p in poses])
         uphill = np.radians(scene.rises_towards_deg)
         slope = np.tan(np.radians(scene.slope_deg)) * np.array([np.sin(uphill), np.cos(uphill)])
-        self.ground = (Valley if scene.is_valley else Ground)(rng, slope, scene.relief_sigma_m, 200.0)
+        self.ground = scene.ground(rng, slope, scene.relief_sigma_m, 200.0)
         down = self.trajectory.R_enu_body(self.times_s)[:, :, 2]
         self.bank_deg = np.degrees(np.arccos(np.clip(-down[:, 2], -1.0, 1.0)))
 

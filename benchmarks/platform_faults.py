@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+from benchmarks.sampled_flight import Hills, Valley
 from benchmarks.sensor_faults import EVERY_MINUTE
 from contract.camera import UNKNOWN_SIGMA, Camera
 from onboard.config.schema import NETWORK_PRIOR_S
@@ -40,7 +41,8 @@ FAULTS: dict[str, dict[str, Any]] = {
     "slope-east": {"slope_deg": 9.8, "rises_towards_deg": 90.0},
     "slope-north": {"slope_deg": 9.8, "rises_towards_deg": 0.0},
     "slope-4": {"slope_deg": 4.0, "rises_towards_deg": 300.0},
-    "valley": {"slope_deg": 9.8, "rises_towards_deg": 36.9, "is_valley": True},
+    "valley": {"slope_deg": 9.8, "rises_towards_deg": 36.9, "ground": Valley},
+    "hills": {"ground": Hills},
     **{name: {"disturbances": every} for name, every in EVERY_MINUTE.items()},
 }
 

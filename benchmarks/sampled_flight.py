@@ -46,6 +46,7 @@ VELOCITY_TIME_S = 0.5
 FILTER_STEP_S = 0.02
 POSITION_HZ, ATTITUDE_HZ, QUALITY_HZ = 10.0, 20.0, 2.0
 WAVES = 16
+HILLS_LENGTH_M, HILLS_M = 1000.0, 12.0
 TERRAIN_NODE_M = 20.0
 GYRO_STEP_S = 0.01
 LEAST_SEEN = 6  # features, below which no motion can be determined
@@ -104,6 +105,23 @@ class Ground:
             points = centre + rays * depth[:, None]
             depth = depth - 0.6 * (points[:, 2] - self.height_m(points[:, :2])) / rays[:, 2]
         return np.asarray(centre + rays * depth[:, None], float)
+
+
+class Hills(Ground):
+    """The same over hills of HILLS_LENGTH_M, far longer than a picture; the origin stays at its height.
+
+    East and north they slope by one sigma of 3.5 degrees each, which is what `solve.level_ground_sigma_deg` declares.
+    """
+
+    def __init__(self, rng: np.random.Generator, slope: Array, sigma_m: float, wavelength_m: float) -> None:
+        super().__init__(rng, slope, sigma_m, wavelength_m)
+        self._hills = Ground(rng, np.zeros(2), HILLS_M, HILLS_LENGTH_M)
+        self._home_m = self._hills.height_m(np.zeros(2))
+
+    def height_m(self, xy: Array) -> Array:
+        """Heights of places (..., 2)."""
+        out: Array = super().height_m(xy) + self._hills.height_m(xy) - self._home_m
+        return out
 
 
 class Valley(Ground):

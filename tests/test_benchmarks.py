@@ -28,6 +28,7 @@ from benchmarks import (
 )
 from benchmarks.__main__ import BENCHMARKS, RESULTS, STARTED, merge, section
 from benchmarks.mechanisms import MECHANISMS
+from benchmarks.sampled_flight import Hills
 from benchmarks.short_flight import Leg, leg, out_and_back, sets_of
 from benchmarks.source_codecs import MOUNT_ANGLES, mean_with_sigma, misstated, recoded, simulated_by
 from benchmarks.sources import flight_spec
@@ -313,6 +314,17 @@ def test_every_mechanism_can_be_switched_off_and_is_on_again() -> None:
             now = [getattr(owner, name) for owner, name, _ in mechanism.replacements]
             assert all(a is not b for a, b in zip(before, now, strict=True)), mechanism.name
         assert [getattr(owner, name) for owner, name, _ in mechanism.replacements] == before
+
+
+def test_hills_slope_by_what_the_configuration_declares_and_leave_home_at_its_height() -> None:
+    places = np.random.default_rng(1).uniform(-3000.0, 3000.0, (400, 2))
+    slopes = []
+    for seed in range(20):
+        ground = Hills(np.random.default_rng(seed), np.zeros(2), 0.0, 200.0)
+        assert ground.height_m(np.zeros(2)) == 0.0
+        slopes.append([(ground.height_m(places + d) - ground.height_m(places - d)) / 10.0 for d in 5.0 * np.eye(2)])
+    declared = np.tan(np.radians(parse_config("").solve.level_ground_sigma_deg))
+    assert np.std(slopes) == pytest.approx(declared, rel=0.1)
 
 
 @pytest.mark.long
