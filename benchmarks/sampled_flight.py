@@ -26,7 +26,7 @@ from onboard.geometry.plane_homography import fit_homography
 from onboard.geometry.terrain_grid import Terrain
 from onboard.navigation.position_slip import DYNAMIC_TIME_S
 from onboard.pipeline.pipeline import Pipeline
-from onboard.vision.klt_tracker import Tracker, Tracks
+from onboard.vision.klt_tracker import CROWDED, Tracker, Tracks
 from simulation.moved_optics import stabilised, zoomed
 from simulation.paths import PathSpec, fly_path
 from simulation.rows import RowsOf
@@ -372,7 +372,8 @@ class SampledTracker(Tracker):
         return Tracks(self._ids[seen], uv[seen], self._uv[seen], len(self._ids), motion)
 
     def promote(self, tracks: Tracks) -> tuple[NDArray[np.int64], Array]:
-        """The last picture becomes the keyframe; lost features are replaced where there are none."""
+        """The last picture becomes the keyframe; lost and crowded features are replaced where there are none."""
+        tracks = tracks.thinned(CROWDED * self.min_distance_px)
         flight, rng = self._flight, self._flight.rng
         wanted = self.features - len(tracks)
         size = np.array(flight.spec.camera.size_px)

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from benchmarks.short_flight import leg
 from onboard.geometry.plane_homography import move
-from onboard.pipeline.keyframes import KEYFRAME_SHIFT, KEYFRAME_TRACKS
+from onboard.pipeline.keyframes import wants_keyframe
 from onboard.vision.klt_tracker import LEVELS, MIN_EIGENVALUE, MIN_QUALITY, WINDOW_PX, Tracker, Tracks
 
 Picture = NDArray[np.uint8]
@@ -96,10 +96,7 @@ def measure(pictures: Sequence[Picture], passes: int) -> Times:
             out.consecutive.append(_us(lambda a=before, b=picture, p=here: raw(a, b, p, None)))  # type: ignore[misc]
             out.tracks.append(len(tracks))
             before, motion = picture, tracks.motion
-            shift = (
-                float(np.median(np.linalg.norm(tracks.uv_px - tracks.keyframe_uv_px, axis=1))) if len(tracks) else 0.0
-            )
-            if shift > KEYFRAME_SHIFT * width or len(tracks) < KEYFRAME_TRACKS * tracks.offered:
+            if not len(tracks) or wants_keyframe(tracks, (width, height)):
                 out.promote.append(_us(lambda t=tracker, f=tracks: t.promote(f)))  # type: ignore[misc]
                 spacing = tracker.min_distance_px
                 out.detect.append(

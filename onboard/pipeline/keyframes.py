@@ -21,19 +21,18 @@ from onboard.navigation.navigator import Navigation
 from onboard.vision.klt_tracker import Tracks
 
 KEYFRAME_SHIFT = 0.10  # median motion, as a share of the picture's width, that makes a keyframe
-KEYFRAME_TRACKS = 0.65  # share of features still followed below which a keyframe is made
+KEYFRAME_SHARE = 0.65  # of features still followed, and of the picture that the keyframe shows: below it one is made
 KEYFRAME_TURN_RAD = 0.30
 LEAST_OFFSET_S, LEAST_DELAY_S = 0.003, 0.02  # of 3 rad/s and 30 m/s: half a degree and half a metre
 
 
-def wants_keyframe(tracks: Tracks, width_px: int) -> bool:
+def wants_keyframe(tracks: Tracks, size_px: tuple[int, int]) -> bool:
     """Whether the picture with these tracks should be the next keyframe."""
     shift = middle(np.linalg.norm(tracks.uv_px - tracks.keyframe_uv_px, axis=1))
     linear = tracks.motion[:2, :2]
     turn = abs(float(np.arctan2(linear[1, 0] - linear[0, 1], linear[0, 0] + linear[1, 1])))
-    return (
-        shift > KEYFRAME_SHIFT * width_px or len(tracks) < KEYFRAME_TRACKS * tracks.offered or turn > KEYFRAME_TURN_RAD
-    )
+    left = min(len(tracks) / tracks.offered, tracks.shown_before(size_px))
+    return shift > KEYFRAME_SHIFT * size_px[0] or left < KEYFRAME_SHARE or turn > KEYFRAME_TURN_RAD
 
 
 def look_up_again(window: Window, navigation: Navigation) -> None:

@@ -88,7 +88,7 @@ class MountSearch:
         tracks = self._tracker.track(frame.image, None)
         if self._keyframe is not None and len(tracks) >= MIN_TRACKS:
             self._weigh(self._keyframe, nav, tracks)
-            if not wants_keyframe(tracks, self._camera.width_px):
+            if not wants_keyframe(tracks, self._camera.size_px):
                 return
         self._tracker.promote(self._tracker.nothing() if self._keyframe is None else tracks)
         self._keyframe = nav

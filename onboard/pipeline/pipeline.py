@@ -240,7 +240,7 @@ class Pipeline:
             return
         self._misses = 0
         self._lens_doubt.tracked(len(tracks), tracks.offered)
-        if wants_keyframe(tracks, self.camera.width_px):
+        if wants_keyframe(tracks, self.camera.size_px):
             self._make_keyframe(frame, nav, tracks)
             return
         may_wait = self.window.solved is not None and self._book.may_wait(frame.stamp_ns, self._is_next_ready)

@@ -18,7 +18,7 @@ prediction's error requires. Where this finds too few features, the full search 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -49,6 +49,7 @@ MIN_TRACKS = 12
 # Largest error (px) of the extrapolated motion for nine features of ten, and the pyramid levels that are then enough;
 # LK on one level finds patches several pixels away, these are the distances at which it does so for practically all.
 CALM_LEVELS = ((1.5, 0), (4.0, 1), (8.0, 2))
+CROWDED = 0.7  # of the least distance of new features: nearer ones leave the rest of the picture without any
 CALM_SHARE = 0.8  # of the features that should be on the picture; with fewer found again the full search follows
 ROUNDS = 5  # of reweighting, at most
 # One sigma of telemetry's prediction of the motion between two pictures: a share of that motion (at first the ground's
@@ -70,6 +71,21 @@ class Tracks:
 
     def __len__(self) -> int:
         return len(self.ids)
+
+    def shown_before(self, size_px: tuple[int, int]) -> float:
+        """The share (0 to 1) of this picture that the keyframe showed as well."""
+        width, height = size_px
+        corners = np.array([[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]]) - 0.5
+        both, _ = cv2.intersectConvexConvex(move(self.motion, corners).astype(np.float32), corners.astype(np.float32))
+        return float(both) / (width * height)
+
+    def thinned(self, least_px: float) -> Tracks:
+        """Without those nearer than this to an older one: while the camera climbs all that it follows converges."""
+        apart_px = np.linalg.norm(self.uv_px[:, None] - self.uv_px, axis=2)
+        kept = np.ones(len(self), bool)
+        for k in range(1, len(self)):
+            kept[k] = not np.any(kept[:k] & (apart_px[k, :k] < least_px))
+        return replace(self, ids=self.ids[kept], uv_px=self.uv_px[kept], keyframe_uv_px=self.keyframe_uv_px[kept])
 
 
 class Tracker:
@@ -218,7 +234,10 @@ class Tracker:
         return are_inconsistent(tracks.motion, tracks.keyframe_uv_px, tracks.uv_px, share, self.width_px)
 
     def promote(self, tracks: Tracks) -> tuple[NDArray[np.int64], Array]:
-        """Make the last picture the keyframe: keep `tracks`, fill up with new features; returns all ids and pixels."""
+        """Make the last picture the keyframe: keep `tracks`, but for crowded ones, and fill up with new features.
+
+        All ids and pixels.
+        """
         if self._current is None:
             raise RuntimeError("promote() before track(): there is no picture yet")
         self.flow_disagreement_px = None
@@ -230,6 +249,7 @@ class Tracker:
             self._standing.begin(self._newest)
         else:
             self._standing.new_keyframe(tracks.motion)
+        tracks = tracks.thinned(CROWDED * self.min_distance_px)
         self._picture, self._thumbnail, self._described = self._current, None, None
         self._motion = np.eye(3)
         self._predicted = None if self._predicted is None else np.eye(3)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -185,6 +185,43 @@ def test_the_number_of_features_is_constant_and_spread_over_the_picture(world: W
         assert share.max() <= 20
         gap = np.linalg.norm(uv[:, None] - uv[None], axis=-1)[np.triu_indices(FEATURES, 1)]
         assert gap.min() > 3.0
+
+
+def test_a_climb_leaves_features_all_over_the_picture(world: World) -> None:
+    """What is followed converges to the middle: before, all hundred lay in a sixth of the width after five times the
+    height, and clicks on the rest were refused as outside.
+    """
+    heights_m = 100.0 * 1.22 ** np.arange(9)
+    tracker = started(world.picture(pose(up=heights_m[0]), 0))
+    for step, height_m in enumerate(heights_m[1:], 1):
+        tracks = tracker.track(world.picture(pose(up=float(height_m)), step), None)
+        assert len(tracks) > 0.8 * tracks.offered
+        assert tracks.shown_before(CAMERA.size_px) == pytest.approx(1.0 / 1.22**2, abs=0.1)
+        ids, uv = tracker.promote(tracks)
+        assert len(ids) > 0.95 * FEATURES
+        assert np.all(np.quantile(uv, 0.9, axis=0) - np.quantile(uv, 0.1, axis=0) > 0.4 * np.array(CAMERA.size_px))
+    share = np.bincount((uv / [640 / 4, 480 / 3]).astype(int) @ [1, 4], minlength=12)
+    assert share.min() >= 3
+    assert share.max() < 25
+
+
+@pytest.mark.parametrize("scale", [0.5, 0.8, 1.0, 1.3])
+def test_the_share_that_the_keyframe_showed_is_that_of_the_areas(scale: float) -> None:
+    about = np.diag([scale, scale, 1.0])
+    about[:2, 2] = (1.0 - scale) * (np.array(CAMERA.size_px) - 1.0) / 2.0
+    nothing = Tracker(CAMERA.size_px, FEATURES).nothing()
+    shown = replace(nothing, motion=about).shown_before(CAMERA.size_px)
+    assert shown == pytest.approx(min(scale, 1.0) ** 2, abs=1e-3)
+
+
+def test_of_tracks_that_are_crowded_the_older_ones_stay() -> None:
+    uv = np.array([[100.0, 100.0], [105.0, 100.0], [130.0, 100.0], [112.0, 100.0]])
+    tracks = Tracks(np.array([4, 5, 7, 9]), uv, uv + 1.0, 4, np.eye(3))
+    assert tracks.thinned(10.0).ids.tolist() == [4, 7, 9]
+    assert np.array_equal(tracks.thinned(10.0).keyframe_uv_px, uv[[0, 2, 3]] + 1.0)
+    assert tracks.thinned(3.0).ids.tolist() == [4, 5, 7, 9]
+    assert len(tracks.thinned(1e3)) == 1
+    assert len(Tracker((640, 480), 100).nothing().thinned(10.0)) == 0
 
 
 def test_a_feature_keeps_its_name_from_keyframe_to_keyframe(world: World) -> None:
