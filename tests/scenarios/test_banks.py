@@ -49,14 +49,14 @@ def test_no_other_orientation_is_accepted_after_a_steep_bank(shared_data: Path) 
 def test_a_heading_that_turns_late_is_allowed_for(shared_data: Path) -> None:
     """With all sensors: this autopilot's heading is 2 degrees behind in steep turns; before, 57 % were inside there.
 
-    Two samples of the GPS's slow error, for one may be large or small.
+    Four samples of the GPS's slow error: one alone has 68 to 98 % inside.
     """
     scene = Scene(str(shared_data / "sitl" / "plane_breeze"), parse_config(""), 45.0, 240.0)
-    scores = [judge(scene, seed) for seed in (3, 4)]
+    scores = [judge(scene, seed) for seed in (3, 4, 5, 6)]
     ratio, bank, error = (
         np.concatenate([getattr(s, name) for s in scores]) for name in ("ratio", "bank_deg", "error_m")
     )
-    assert np.count_nonzero(bank > 30.0) > 200
+    assert np.count_nonzero(bank > 30.0) > 400
     assert np.mean(ratio[bank > 30.0] < 1.0) > 0.85
     assert np.quantile(ratio[bank > 30.0], 0.9) > 0.6  # nor by ellipses that hold anything
     assert np.quantile(error, 0.9) < 9.0
