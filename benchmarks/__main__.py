@@ -29,7 +29,7 @@ TIMEOUT_S = 7200.0
 
 RECORDED = ("--recordings", ",".join(STARTS), "--seconds", "240", "--seed", "3")
 CODECS = ("--seconds", "12", "--seeds", "1,2")
-FEW = ("--autopilots", "2")
+QUICK_CODECS = ("--seconds", "12", "--seeds", "1", "--autopilots", "2", "--kbit", "500")
 
 
 @dataclass(frozen=True)
@@ -109,25 +109,25 @@ BENCHMARKS = (
         "source_codecs",
         "What compression costs",
         ("--size", "1280x720", *CODECS, "--autopilots", "8", "--kbit", "1000,2000,4000,8000"),
-        ("--size", "320x240", "--seconds", "12", "--kbit", "500", "--seeds", "1", "--autopilots", "2"),
+        ("--size", "320x240", *QUICK_CODECS),
     ),
     Benchmark(
         "source_codecs",
         "What compression costs at 1080p",
         ("--size", "1920x1080", *CODECS, "--autopilots", "4", "--kbit", "1000,2000,4000,8000"),
-        ("--size", "640x480", "--seconds", "12", "--kbit", "500", "--seeds", "1", "--autopilots", "2"),
+        ("--size", "640x480", *QUICK_CODECS),
     ),
     Benchmark(
         "source_codecs",
         "What compression costs with H.265",
         ("--size", "1280x720", *CODECS, "--autopilots", "5", "--codecs", "H265", "--kbit", "1000,4000"),
-        ("--size", "320x240", "--seconds", "12", "--codecs", "H265", "--kbit", "500", "--seeds", "1", *FEW),
+        ("--size", "320x240", *QUICK_CODECS, "--codecs", "H265"),
     ),
     Benchmark(
         "source_codecs",
         "What compression costs where packets are lost",
         ("--seconds", "24", "--seeds", "2", "--autopilots", "5", "--kbit", "2000", "--loss", "0.01"),
-        ("--size", "320x240", "--seconds", "12", "--kbit", "500", "--loss", "0.01", "--seeds", "1", *FEW),
+        ("--size", "320x240", *QUICK_CODECS, "--loss", "0.01"),
     ),
     Benchmark("real_flight", "The real flight"),
 )

@@ -1,8 +1,8 @@
 """The flights of `benchmarks.ablation`: ordinary ones, and for each mechanism the one that it exists for.
 
 Recorded telemetry of real autopilot software over simulated ground (`autopilots`), simulated flights
-(`sampled_flight`), and four kinds of simulated flight that only the ablation needs: rows that vibrate, stamps
-that jitter, ground that moves, a gimbal.
+(`sampled_flight`), and three kinds of simulated flight that only the ablation needs: rows that vibrate, ground that
+moves, a gimbal.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from benchmarks.sampled_flight import FlightInSight, Mask, SampledFlight, Sample
 from contract.camera import Camera
 from contract.rotations import exp_so3, matrix_from_euler, matrix_from_quaternion, quaternion_from_matrix
 from onboard.config.schema import Config, parse_config
-from onboard.events.types import Attitude, Event, Frame, GimbalAttitude
+from onboard.events.types import Attitude, Event, GimbalAttitude
 from onboard.vision.klt_tracker import Tracks
 from simulation.paths import PathSpec
 from simulation.rows import RowsOf
@@ -34,7 +34,6 @@ DEFAULTS = parse_config("")
 # and its velocity contradict each other (`rolling_shutter`), and what is then doubted would hide everything else.
 TIMED = replace_section(DEFAULTS, "gps", sigma_latency_s=0.02)
 SWING_HZ, SWING_RAD = 297.3, 0.003  # nine swings while the rows are read, two pixels
-JITTER_S = 0.03
 FLEX_RAD, FLEX_S = np.radians(2.0), 80.0
 WATER_M_S = np.array([0.9, -0.6])
 # Of the coarse flow against the fine one, over the motion: between the whole of it, as in theory, and the third that
@@ -102,19 +101,6 @@ class VibratingRows(RowsOf):
         share = np.clip(v_px, 0.0, camera.height_px) / camera.height_px - 0.5
         swing = SWING_RAD * np.sin(2.0 * np.pi * SWING_HZ * (time_s + self.readout_s * share))
         return R_enu_cam @ exp_so3(swing[:, None] * np.array([1.0, 0.6, 0.0])), centres
-
-
-class JitteringFlight(SampledFlight):
-    """Pictures are stamped by ten times the declared error early or late, each by its own."""
-
-    def events(self) -> Iterator[Event]:
-        """All others as they are."""
-        rng = np.random.default_rng([self.seed, 77])
-        sent = [self._stamped(e, rng) if isinstance(e, Frame) else e for e in super().events()]
-        yield from sorted(sent, key=lambda event: event.stamp_ns)
-
-    def _stamped(self, frame: Frame, rng: np.random.Generator) -> Frame:
-        return replace(frame, stamp_ns=frame.stamp_ns + int(1e9 * JITTER_S * rng.standard_normal()))
 
 
 class OtherAttitudes(SampledFlight):
@@ -225,8 +211,8 @@ WRONG_TRACKS: dict[str, Any] = {
 def own() -> dict[str, tuple[Trial, ...]]:
     """By the name of the mechanism."""
     late = recorded("plane_wind_noise", fault="late", seconds=ORDINARY_SECONDS)
+    climb, quadplane = sampled("climb, camera + GPS", config=GPS_ONLY, path=CLIMB), recorded("qp_transition", "gps")
     # A mount is chosen once, in the first seconds.
-    climb = sampled("climb, camera + GPS", config=GPS_ONLY, path=CLIMB)
     gimbal = replace(sampled("gimbal, photographs", GimbalFlight, rate_hz=0.7, path=SURVEY, seconds=25.0), warm_s=0.0)
     return {
         "clock profile": (
@@ -241,7 +227,7 @@ def own() -> dict[str, tuple[Trial, ...]]:
             recorded("plane_wind_noise", note="attitude claimed to 0.2 and 0.7 deg", solve=TOO_SURE),
         ),
         "stamp jitter": (
-            sampled("stamps off by 30 ms, turns", JitteringFlight, path=TURNS, seconds=ORDINARY_SECONDS),
+            sampled("stamps off by 30 ms, turns", path=TURNS, jitter_s=0.03, seconds=ORDINARY_SECONDS),
             recorded("plane_wind_noise", fault="stream late", note="90 s", seconds=90.0),
         ),
         "second weighing": (recorded("plane_breeze", fault="stream early", seconds=90.0),),
@@ -261,13 +247,13 @@ def own() -> dict[str, tuple[Trial, ...]]:
         ),
         "second start": (
             recorded("plane_log", "gps"),
-            recorded("qp_transition", "gps"),
+            quadplane,
             recorded("plane_wind_noise", "gps", seconds=ORDINARY_SECONDS),
             recorded("plane_gps_outage", "gps", seconds=240.0),
             climb,
             sampled("climb straight up, camera + GPS", config=GPS_ONLY, path=replace(CLIMB, speed_m_s=0.7)),
         ),
-        "headings all round": (recorded("qp_transition", "gps"), climb),
+        "headings all round": (quadplane, climb),
         "reobservation": (
             sampled(
                 "lens 0.4 % off, claimed exact",

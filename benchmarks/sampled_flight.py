@@ -68,6 +68,7 @@ class SampledSpec:
     has_terrain: bool = False
     boresight_deg: tuple[float, float, float] | None = None  # as it is; None: sampled from the configured prior
     offset_s: float | None = None
+    jitter_s: float | None = None  # one sigma of each picture's own stamp
     delay_s: float | None = None  # of position and velocity beyond `gps.latency_s`
     filter_late_s: float | None = None  # by which the filter's positions are later than it assumes
     heading_error_deg: tuple[float, float] = (0.0, 0.0)  # times the cosine and the sine of the heading
@@ -189,7 +190,8 @@ class SampledFlight:
 
     def events(self) -> Iterator[Event]:
         """Telemetry and pictures, in order of time; a picture's image holds nothing but its own number."""
-        jitter_s = self.spec.errors * self.spec.config.camera.sigma_jitter_s
+        spec = self.spec
+        jitter_s = spec.errors * spec.config.camera.sigma_jitter_s if spec.jitter_s is None else spec.jitter_s
         stamps_s = self.times_s - self.offset_s + jitter_s * self.rng.standard_normal(len(self.times_s))
         frames = [Frame(_stamp(t), k, np.full((1, 1), k, np.uint16).view(np.uint8)) for k, t in enumerate(stamps_s)]
         everything: list[Event] = [*self._positions(), *self._attitudes(), *frames]

@@ -46,10 +46,10 @@ MIN_EIGENVALUE = 1e-3
 MAX_TURN = 0.06  # rotation (rad) or scale change of a motion above which the picture is warped back before LK
 MIN_PEAK = 0.04  # response of phase correlation below which its shift is not used
 MIN_TRACKS = 12
+CROWDED = 0.7  # of the least distance of new features: nearer ones leave the rest of the picture without any
 # Largest error (px) of the extrapolated motion for nine features of ten, and the pyramid levels that are then enough;
 # LK on one level finds patches several pixels away, these are the distances at which it does so for practically all.
 CALM_LEVELS = ((1.5, 0), (4.0, 1), (8.0, 2))
-CROWDED = 0.7  # of the least distance of new features: nearer ones leave the rest of the picture without any
 CALM_SHARE = 0.8  # of the features that should be on the picture; with fewer found again the full search follows
 ROUNDS = 5  # of reweighting, at most
 # One sigma of telemetry's prediction of the motion between two pictures: a share of that motion (at first the ground's
