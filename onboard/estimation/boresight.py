@@ -74,7 +74,7 @@ class PlatformEstimate:
         return PlatformEstimate(self.end_ns, np.append(self.mean, 0.0 * sure), covariance, given)
 
     def is_outside(self, mean: Array, factor: Array | float = 1.0) -> Mask:
-        """(B,) which states are farther from it than its sigma, times a factor, allows for. (10.6)"""
+        """(B,) which states are farther from it than its sigma, times a factor, allows for. (10.7)"""
         return np.abs(mean - self.mean) > OUTLIER_SIGMAS * factor * self.sigma
 
 
@@ -156,7 +156,7 @@ class Alignment:
         return earlier.end_ns > 0 and (start_ns < earlier.end_ns or end_ns - earlier.end_ns < self._spacing_ns)
 
     def _is_confirmed(self, start_ns: int, new: Unconfirmed) -> bool:
-        """Whether an earlier window that this one does not repeat was outside likewise. (10.6)"""
+        """Whether an earlier window that this one does not repeat was outside likewise. (10.7)"""
         held = self.unconfirmed
         if held is not None and self._repeats(held.found, start_ns, new.found.end_ns):
             return False  # neither a confirmation nor anything new

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from contract.rotations import log_so3
 from onboard.geometry.robust import OUTLIER_SIGMAS, robust_cost
@@ -24,17 +25,20 @@ REACH_S = 0.5  # at least
 MIN_PICTURES = 4
 COMMON = 4  # mount and heading, which every picture shares
 ROUNDS = 4
+FINER = 20  # steps between two that were compared, to integrate over
+RESOLVED = 1e-12  # of a variance (s^2): a profile that leaves one offset is sharper than its steps
 
 
 @dataclass(frozen=True)
 class ClockProfile:
-    """The offset that fits best, how wide the profile is about it, and from where to where others may be right too.
+    """The offset that fits best, the profile's own information, and from where to where others may be right too.
 
     `kept_s` is None where what fits about as well as the best is not one run of offsets that ends within reach.
     """
 
     best_s: float
-    sigma_s: float
+    precision: float  # of the offset (1/s^2)
+    pull: float  # on the mean that was known before (1/s)
     kept_s: tuple[float, float] | None
     compared_s: tuple[float, float] = (-np.inf, np.inf)  # the reach
 
@@ -44,9 +48,10 @@ class ClockProfile:
             return False
         return not self.kept_s[0] - NEAR_S < offset_s < self.kept_s[1] + NEAR_S
 
-    def lacks(self, variance: float, before: float) -> float:
-        """By how much a posterior variance (s^2) must grow, so that from the one before it gains no more than this."""
-        return max(before * self.sigma_s**2 / (before + self.sigma_s**2) - variance, 0.0)
+    def upon(self, mean_s: float, variance: float) -> tuple[float, float]:
+        """Mean and variance that follow for the offset from those known before (s, s^2)."""
+        out = 1.0 / (1.0 / variance + self.precision)
+        return mean_s + out * self.pull, out
 
 
 def offsets_about(offset_s: float, sigma_s: float) -> Array:
@@ -55,11 +60,14 @@ def offsets_about(offset_s: float, sigma_s: float) -> Array:
     return offset_s + STEP_S * np.arange(-steps, steps + 1.0)
 
 
-def clock_profile(R_cam_enu: Array, R_enu_cam: Array, offsets_s: Array, sigma_rad: Array) -> ClockProfile | None:
+def clock_profile(
+    R_cam_enu: Array, R_enu_cam: Array, offsets_s: Array, known: tuple[float, float], sigma_rad: Array
+) -> ClockProfile | None:
     """The profile over offsets (T,); None from too few pictures. (10.5)
 
     `R_cam_enu` (K, 3, 3): the window's own orientations. `R_enu_cam` (T, K, 3, 3): the autopilot's through the nominal
-    mount, at every offset. `sigma_rad` (3,): of one attitude; of mount and heading, which all pictures share.
+    mount, at every offset. `known`: of the offset before, and one sigma (s). `sigma_rad` (3,): of one attitude; of
+    mount and heading, which all pictures share.
     """
     K = len(R_cam_enu)
     if K < MIN_PICTURES:
@@ -68,15 +76,30 @@ def clock_profile(R_cam_enu: Array, R_enu_cam: Array, offsets_s: Array, sigma_ra
     best = int(np.argmin(cost))
     freedoms = 3 * K - COMMON
     excess = (cost - cost[best]) / max(float(cost[best]) / freedoms, 1.0)
-    likely = np.exp(-0.5 * excess)
-    sigma_s = float(np.sqrt(likely @ np.square(offsets_s - offsets_s[best]) / likely.sum()))
+    information = _information(excess, offsets_s, *known)
     clear = np.flatnonzero(excess < CLEAR)
     is_one_run = clear[-1] - clear[0] == len(clear) - 1 and clear[0] > 0 and clear[-1] < len(cost) - 1
     # Other offsets meet other errors of the attitudes: by so much costs scatter however equal the rotations are.
     chance = 2.0 * np.sqrt(freedoms)
     kept = offsets_s[excess < OUTLIER_SIGMAS * chance]
     kept_s = (float(kept[0]), float(kept[-1])) if is_one_run else None
-    return ClockProfile(float(offsets_s[best]), sigma_s, kept_s, (float(offsets_s[0]), float(offsets_s[-1])))
+    return ClockProfile(float(offsets_s[best]), *information, kept_s, (float(offsets_s[0]), float(offsets_s[-1])))
+
+
+def _information(excess: Array, offsets_s: Array, mean_s: float, sigma_s: float) -> tuple[float, float]:
+    """Precision (1/s^2) and pull (1/s) that a profile adds to what was known of the offset. (10.5)
+
+    By how much it narrows that over the offsets compared: a level one by nothing, though they end.
+    """
+    fine_s = np.linspace(offsets_s[0], offsets_s[-1], FINER * (len(offsets_s) - 1) + 1)
+    before = np.square((fine_s - mean_s) / max(sigma_s, STEP_S / FINER))
+    means, variances = [], []
+    for cost in (before, before + CubicSpline(offsets_s, excess)(fine_s)):
+        likely = np.exp(-0.5 * (cost - cost.min()))
+        means.append(float(np.average(fine_s, weights=likely)))
+        variances.append(max(float(np.average(np.square(fine_s - means[-1]), weights=likely)), RESOLVED))
+    precision = max(1.0 / variances[1] - 1.0 / variances[0], 0.0)
+    return precision, (means[1] - means[0]) / variances[1] + precision * (means[0] - mean_s)
 
 
 def _costs(apart: Array, up_cam: Array, sigma_rad: Array) -> Array:

@@ -52,3 +52,9 @@ def with_own_variance(covariance: Array, states: slice | int, variance: float) -
     out[at], out[:, at] = 0.0, 0.0
     out[at, at] = variance
     return out
+
+
+def with_marginal(mean: Array, covariance: Array, at: int, value: float, variance: float) -> tuple[Array, Array]:
+    """A posterior, mean (B,) and covariance (B, B), with another of the state `at`; the rest given it stays. (10.6)"""
+    along, more = covariance[:, at] / covariance[at, at], variance - covariance[at, at]
+    return mean + (value - mean[at]) * along, covariance + more * np.outer(along, along)

@@ -21,7 +21,7 @@ from onboard.estimation.camera_states import COUNT, corrected, readout_s, taken,
 from onboard.estimation.clock_profile import ClockProfile
 from onboard.estimation.factors import RATES
 from onboard.estimation.ground_slope import GroundSlope, SlopeSeen, seen_alone
-from onboard.estimation.information import Information
+from onboard.estimation.information import Information, with_marginal
 from onboard.estimation.keyframe import Keyframe, Observation, have_attitude, seen_with, stamp_sigma_s
 from onboard.estimation.moved_optics import MOVED
 from onboard.estimation.platform_states import DELAY, OFFSET, STATES
@@ -291,7 +291,9 @@ class Window:
         gained = Information.gained(mean, covariance, solved_under.mean, solved_under.covariance)
         mean, covariance = gained.upon(before.mean, before.covariance)
         if clock is not None:
-            covariance[OFFSET, OFFSET] += clock.lacks(covariance[OFFSET, OFFSET], before.covariance[OFFSET, OFFSET])
+            value_s, least = clock.upon(float(before.mean[OFFSET]), float(before.covariance[OFFSET, OFFSET]))
+            if covariance[OFFSET, OFFSET] < least:  # by a derivative, taken where it does not hold
+                mean, covariance = with_marginal(mean, covariance, OFFSET, value_s, least)
         self.alignment.offer(start, end, mean, covariance)
 
     def camera_found(self) -> tuple[Camera, Sigma]:

@@ -41,16 +41,18 @@ def profile(
     wobble_deg: float = 0.0,
     pictures: int = 10,
     wrong: int = 0,
+    known: tuple[float, float] = (0.0, 0.1),
 ) -> ClockProfile | None:
     """Of pictures 0.9 s apart whose stamps are `offset_s` before their exposures by the autopilot's clock.
 
-    `noise_deg`: of each attitude that is looked up; `wrong`: pictures whose attitudes are 30 degrees off.
+    `noise_deg`: of each attitude that is looked up; `wrong`: pictures whose attitudes are 30 degrees off. `known`: mean
+    and sigma of the offset before (s).
     """
     rng = np.random.default_rng(seed)
     mount = exp_so3(np.radians(MOUNT_DEG))
     exposures = 0.9 * np.arange(pictures) + rng.uniform(0.0, 1.0)
     own = np.stack([(attitude(float(t), turns, wobble_deg) @ R_BODY_CAM @ mount).T for t in exposures])
-    offsets_s = offsets_about(used_s, 0.1)
+    offsets_s = offsets_about(used_s, known[1])
     compass = exp_so3(np.array([0.0, 0.0, -np.radians(COMPASS_DEG)]))
     noise = exp_so3(np.radians(noise_deg) * rng.standard_normal((pictures, 3)))  # lasts as long as offsets differ
     noise[:wrong] = exp_so3(np.radians([30.0, 0.0, 0.0]))
@@ -61,7 +63,7 @@ def profile(
         ]
         for tau in offsets_s
     ]
-    return clock_profile(own, np.array(looked_up), offsets_s, SIGMA_RAD)
+    return clock_profile(own, np.array(looked_up), offsets_s, known, SIGMA_RAD)
 
 
 @pytest.mark.parametrize("offset_s", rest_long([-0.42, 0.35, -0.2, 0.15], 2))
@@ -72,7 +74,7 @@ def test_an_offset_that_is_far_off_is_rejected_and_the_right_one_found(offset_s:
         assert found.rejects(0.0)
         assert not found.rejects(offset_s)
         assert abs(found.best_s - offset_s) < 1.5 * STEP_S
-        assert found.sigma_s < 0.05
+        assert found.precision > 0.05**-2
 
 
 @pytest.mark.parametrize("noise_deg", [0.1, 1.0])
@@ -92,7 +94,7 @@ def test_level_flight_and_a_wobble_below_the_noise_show_nothing(noise_deg: float
             found = profile(-0.3, seed=seed, turns=(), noise_deg=noise_deg, wobble_deg=wobble_deg)
             assert found is not None
             assert not found.rejects(0.0)
-            assert found.sigma_s > 0.2
+            assert found.precision < 0.2**-2
 
 
 def test_one_wrong_attitude_changes_nothing() -> None:
@@ -123,10 +125,41 @@ def test_three_pictures_are_too_few() -> None:
     assert profile(-0.3, pictures=3) is None
 
 
-def test_a_window_gains_no_more_than_the_profile_shows() -> None:
-    wide, sharp = ClockProfile(0.0, 0.2, None), ClockProfile(0.0, 0.0, None)
-    variance, before = 0.02**2, 0.1**2
-    assert sharp.lacks(variance, before) == 0.0
-    assert variance + wide.lacks(variance, before) == pytest.approx(1.0 / (1.0 / before + 1.0 / 0.2**2))
-    assert wide.lacks(before, before) == 0.0, "what gained nothing loses nothing"
-    assert wide.lacks(1.01 * before, before) == 0.0
+@pytest.mark.parametrize("known", [(0.0, 0.29), (0.4, 0.2), (0.0, 0.005)])
+def test_that_the_offsets_compared_end_adds_nothing(known: tuple[float, float]) -> None:
+    """Level flight without noise: every offset fits equally well, whatever was known and wherever the used one lies."""
+    for used_s in (0.0, 0.45):
+        found = profile(0.45, used_s, turns=(), noise_deg=0.0, known=known)
+        assert found is not None
+        mean_s, variance = found.upon(known[0], known[1] ** 2)
+        assert mean_s == pytest.approx(known[0], abs=0.1 * known[1])
+        assert variance > 0.99 * known[1] ** 2
+
+
+@pytest.mark.parametrize("sigma_s", [0.1, 0.02])
+def test_what_a_profile_knows_is_as_sure_as_it_is_off(sigma_s: float) -> None:
+    """A wobble as large as the attitudes' noise shows some of the offset, whether much or little was known before."""
+    sigmas, off = [], []
+    for seed in range(30):
+        right_s = sigma_s * float(np.random.default_rng(seed).standard_normal())
+        found = profile(right_s, seed=seed, turns=(), noise_deg=0.5, wobble_deg=0.7, known=(0.0, sigma_s))
+        assert found is not None
+        mean_s, variance = found.upon(0.0, sigma_s**2)
+        sigmas.append(np.sqrt(variance))
+        off.append((mean_s - right_s) / sigmas[-1])
+    assert 0.2 * sigma_s < np.median(sigmas) < 0.97 * sigma_s
+    assert 0.5 < np.sqrt(np.mean(np.square(off))) < 1.5
+
+
+def test_what_was_known_may_lie_far_from_the_offsets_compared() -> None:
+    """Those are about the offset used, which is right here; the prior's mean is at their end."""
+    found = profile(0.45, 0.45, known=(0.0, 0.29))
+    assert found is not None
+    mean_s, variance = found.upon(0.0, 0.29**2)
+    assert abs(mean_s - 0.45) < 3.0 * np.sqrt(variance) < 0.1
+
+
+def test_a_profile_and_what_was_known_are_combined_as_two_measurements() -> None:
+    found = ClockProfile(0.3, 1.0 / 0.2**2, 0.3 / 0.2**2, None)  # 0.3 s off what was known, +-0.2
+    assert found.upon(0.0, 0.2**2) == pytest.approx((0.15, 0.02))
+    assert ClockProfile(0.3, 0.0, 0.0, None).upon(0.1, 0.04) == pytest.approx((0.1, 0.04))
