@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from contract.rotations import log_so3
 from onboard.geometry.robust import OUTLIER_SIGMAS, robust_cost
@@ -21,12 +20,11 @@ Array = NDArray[np.float64]
 
 STEP_S = 0.05
 NEAR_S = 1.5 * STEP_S  # a window's derivative holds over as much of a roll
+RESOLVED = (0.1 * STEP_S) ** 2  # of a variance (s^2): what is sharper falls between the steps
 REACH_S = 0.5  # at least
 MIN_PICTURES = 4
 COMMON = 4  # mount and heading, which every picture shares
 ROUNDS = 4
-FINER = 20  # steps between two that were compared, to integrate over
-RESOLVED = 1e-12  # of a variance (s^2): a profile that leaves one offset is sharper than its steps
 
 
 @dataclass(frozen=True)
@@ -47,6 +45,11 @@ class ClockProfile:
         if self.kept_s is None or not self.compared_s[0] <= offset_s <= self.compared_s[1]:
             return False
         return not self.kept_s[0] - NEAR_S < offset_s < self.kept_s[1] + NEAR_S
+
+    @property
+    def is_wide(self) -> bool:
+        """Whether offsets fit about as well over which a window's derivative does not hold."""
+        return self.precision < NEAR_S**-2
 
     def upon(self, mean_s: float, variance: float) -> tuple[float, float]:
         """Mean and variance that follow for the offset from those known before (s, s^2)."""
@@ -91,13 +94,12 @@ def _information(excess: Array, offsets_s: Array, mean_s: float, sigma_s: float)
 
     By how much it narrows that over the offsets compared: a level one by nothing, though they end.
     """
-    fine_s = np.linspace(offsets_s[0], offsets_s[-1], FINER * (len(offsets_s) - 1) + 1)
-    before = np.square((fine_s - mean_s) / max(sigma_s, STEP_S / FINER))
+    before = np.square((offsets_s - mean_s) / max(sigma_s, STEP_S))
     means, variances = [], []
-    for cost in (before, before + CubicSpline(offsets_s, excess)(fine_s)):
+    for cost in (before, before + excess):
         likely = np.exp(-0.5 * (cost - cost.min()))
-        means.append(float(np.average(fine_s, weights=likely)))
-        variances.append(max(float(np.average(np.square(fine_s - means[-1]), weights=likely)), RESOLVED))
+        means.append(float(np.average(offsets_s, weights=likely)))
+        variances.append(max(float(np.average(np.square(offsets_s - means[-1]), weights=likely)), RESOLVED))
     precision = max(1.0 / variances[1] - 1.0 / variances[0], 0.0)
     return precision, (means[1] - means[0]) / variances[1] + precision * (means[0] - mean_s)
 
