@@ -1,8 +1,8 @@
 """How well a window's orientations fit the autopilot's attitudes at other time offsets than the one it was solved at.
 
 (5.7)'s derivative, taken at the wrong offset, leads to a wrong minimum, or claims what is not there; the profile over
-whole offsets needs none. It is no estimate: it decides where the next solve begins, and bounds what a window may teach.
-Equations (10.3) to (10.5) of docs/mathematics.md.
+whole offsets needs none. It decides where the next solve begins, bounds what a window may teach, and gives the offset
+itself where it is wider than the derivative holds. Equations (10.3) to (10.6) of docs/mathematics.md.
 """
 
 from __future__ import annotations
