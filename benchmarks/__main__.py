@@ -49,13 +49,13 @@ BENCHMARKS = (
     Benchmark(
         "autopilots",
         "With recorded autopilots",
-        (*RECORDED, "--draws", "3"),
+        (*RECORDED, "--draws", "5"),
         ("--recordings", "plane_clean", "--seconds", "40"),
     ),
     Benchmark(
         "autopilots",
         "With recorded autopilots over hills",
-        (*RECORDED, "--draws", "2", "--faults", "hills"),
+        (*RECORDED, "--draws", "4", "--faults", "hills"),
         ("--recordings", "plane_clean", "--seconds", "40", "--faults", "hills"),
     ),
     Benchmark(
