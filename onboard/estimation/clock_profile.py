@@ -29,14 +29,15 @@ ROUNDS = 4
 
 @dataclass(frozen=True)
 class ClockProfile:
-    """The offset that fits best, the profile's own information, and from where to where others may be right too.
+    """The offset that fits best, what it leaves of what was known, and from where to where others may be right too.
 
     `kept_s` is None where what fits about as well as the best is not one run of offsets that ends within reach.
     """
 
     best_s: float
-    precision: float  # of the offset (1/s^2)
-    pull: float  # on the mean that was known before (1/s)
+    precision: float  # that the profile adds to what was known of the offset (1/s^2)
+    mean_s: float  # of the offset, by both
+    variance: float  # of that (s^2)
     kept_s: tuple[float, float] | None
     compared_s: tuple[float, float] = (-np.inf, np.inf)  # the reach
 
@@ -51,11 +52,6 @@ class ClockProfile:
         """Whether offsets fit about as well over which a window's derivative does not hold."""
         return self.precision < NEAR_S**-2
 
-    def upon(self, mean_s: float, variance: float) -> tuple[float, float]:
-        """Mean and variance that follow for the offset from those known before (s, s^2)."""
-        out = 1.0 / (1.0 / variance + self.precision)
-        return mean_s + out * self.pull, out
-
 
 def offsets_about(offset_s: float, sigma_s: float) -> Array:
     """(T,) offsets to compare, about the one used."""
@@ -69,8 +65,8 @@ def clock_profile(
     """The profile over offsets (T,); None from too few pictures. (10.5)
 
     `R_cam_enu` (K, 3, 3): the window's own orientations. `R_enu_cam` (T, K, 3, 3): the autopilot's through the nominal
-    mount, at every offset. `known`: of the offset before, and one sigma (s). `sigma_rad` (3,): of one attitude; of
-    mount and heading, which all pictures share.
+    mount, at every offset. `known`: the offset's mean and variance before (s, s^2). `sigma_rad` (3,): of one attitude;
+    of mount and heading, which all pictures share.
     """
     K = len(R_cam_enu)
     if K < MIN_PICTURES:
@@ -79,29 +75,31 @@ def clock_profile(
     best = int(np.argmin(cost))
     freedoms = 3 * K - COMMON
     excess = (cost - cost[best]) / max(float(cost[best]) / freedoms, 1.0)
-    information = _information(excess, offsets_s, *known)
+    found = _upon(excess, offsets_s, *known)
     clear = np.flatnonzero(excess < CLEAR)
     is_one_run = clear[-1] - clear[0] == len(clear) - 1 and clear[0] > 0 and clear[-1] < len(cost) - 1
     # Other offsets meet other errors of the attitudes: by so much costs scatter however equal the rotations are.
     chance = 2.0 * np.sqrt(freedoms)
     kept = offsets_s[excess < OUTLIER_SIGMAS * chance]
     kept_s = (float(kept[0]), float(kept[-1])) if is_one_run else None
-    return ClockProfile(float(offsets_s[best]), *information, kept_s, (float(offsets_s[0]), float(offsets_s[-1])))
+    return ClockProfile(float(offsets_s[best]), *found, kept_s, (float(offsets_s[0]), float(offsets_s[-1])))
 
 
-def _information(excess: Array, offsets_s: Array, mean_s: float, sigma_s: float) -> tuple[float, float]:
-    """Precision (1/s^2) and pull (1/s) that a profile adds to what was known of the offset. (10.5)
+def _upon(excess: Array, offsets_s: Array, mean_s: float, variance: float) -> tuple[float, float, float]:
+    """Precision (1/s^2) that a profile adds to what was known of the offset; mean and variance by both. (10.5), (10.6)
 
     By how much it narrows that over the offsets compared: a level one by nothing, though they end.
     """
-    before = np.square((offsets_s - mean_s) / max(sigma_s, STEP_S))
+    before = np.square((offsets_s - mean_s) / max(np.sqrt(variance), STEP_S))
     means, variances = [], []
     for cost in (before, before + excess):
         likely = np.exp(-0.5 * (cost - cost.min()))
         means.append(float(np.average(offsets_s, weights=likely)))
         variances.append(max(float(np.average(np.square(offsets_s - means[-1]), weights=likely)), RESOLVED))
     precision = max(1.0 / variances[1] - 1.0 / variances[0], 0.0)
-    return precision, (means[1] - means[0]) / variances[1] + precision * (means[0] - mean_s)
+    pull = (means[1] - means[0]) / variances[1] + precision * (means[0] - mean_s)
+    out = 1.0 / (1.0 / variance + precision)
+    return precision, mean_s + out * pull, out
 
 
 def _costs(apart: Array, up_cam: Array, sigma_rad: Array) -> Array:

@@ -290,11 +290,9 @@ class Window:
         # What the window itself says is put upon the learned prior, which may be tighter: no delay held open.
         gained = Information.gained(mean, covariance, solved_under.mean, solved_under.covariance)
         mean, covariance = gained.upon(before.mean, before.covariance)
-        if clock is not None:
-            value_s, least = clock.upon(float(before.mean[OFFSET]), float(before.covariance[OFFSET, OFFSET]))
-            if covariance[OFFSET, OFFSET] < least:
-                value_s = value_s if clock.is_wide else float(mean[OFFSET])
-                mean, covariance = with_marginal(mean, covariance, OFFSET, value_s, least)
+        if clock is not None and covariance[OFFSET, OFFSET] < clock.variance:
+            value_s = clock.mean_s if clock.is_wide else float(mean[OFFSET])
+            mean, covariance = with_marginal(mean, covariance, OFFSET, value_s, clock.variance)
         self.alignment.offer(start, end, mean, covariance)
 
     def camera_found(self) -> tuple[Camera, Sigma]:

@@ -70,18 +70,18 @@ def profile_of(outcome: Outcome, window: Window, navigation: Navigation) -> Cloc
     if found is None or stamp_sigma_s(outcome.keyframes):
         return None
     before = window.alignment.prior_for(outcome.keyframes[0].nav.stamp_ns)
-    offset = float(before.mean[OFFSET]), float(before.sigma[OFFSET])
-    offsets_s = offsets_about(window.times_s()[0], offset[1])
+    known = float(before.mean[OFFSET]), float(before.covariance[OFFSET, OFFSET])
+    offsets_s = offsets_about(window.times_s()[0], float(before.sigma[OFFSET]))
     offsets_ns = [round(offset_s * 1e9) for offset_s in offsets_s]
     attitudes = [
         navigation.attitudes_at([k.nav.stamp_ns + offset_ns for offset_ns in offsets_ns], k.nav.position_enu_m)
         for k in outcome.keyframes
     ]
-    known = [i for i, R in enumerate(attitudes) if R is not None]
-    if not known:
+    measured = [i for i, R in enumerate(attitudes) if R is not None]
+    if not measured:
         return None
     solve, mount = window.config.solve, window.config.mount
     own = np.hypot(solve.attitude_sigma_deg, solve.attitude_white_sigma_deg)
     sigma_rad = np.radians([own, np.hypot(own, mount.sigma_deg), np.hypot(own, solve.heading_sigma_deg)])
     R_enu_cam = np.stack([R for R in attitudes if R is not None], axis=1) @ window.R_body_cam
-    return clock_profile(found.solution.state.R_cam_enu[known], R_enu_cam, offsets_s, offset, sigma_rad)
+    return clock_profile(found.solution.state.R_cam_enu[measured], R_enu_cam, offsets_s, known, sigma_rad)

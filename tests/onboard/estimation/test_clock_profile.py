@@ -63,7 +63,7 @@ def profile(
         ]
         for tau in offsets_s
     ]
-    return clock_profile(own, np.array(looked_up), offsets_s, known, SIGMA_RAD)
+    return clock_profile(own, np.array(looked_up), offsets_s, (known[0], known[1] ** 2), SIGMA_RAD)
 
 
 @pytest.mark.parametrize("offset_s", rest_long([-0.42, 0.35, -0.2, 0.15], 2))
@@ -132,9 +132,8 @@ def test_that_the_offsets_compared_end_adds_nothing(known: tuple[float, float]) 
     for used_s in (0.0, 0.45):
         found = profile(0.45, used_s, turns=(), noise_deg=0.0, known=known)
         assert found is not None
-        mean_s, variance = found.upon(known[0], known[1] ** 2)
-        assert mean_s == pytest.approx(known[0], abs=0.1 * known[1])
-        assert variance > 0.99 * known[1] ** 2
+        assert found.mean_s == pytest.approx(known[0], abs=0.1 * known[1])
+        assert found.variance > 0.99 * known[1] ** 2
 
 
 @pytest.mark.parametrize("sigma_s", [0.1, 0.02])
@@ -145,9 +144,9 @@ def test_what_a_profile_knows_is_as_sure_as_it_is_off(sigma_s: float) -> None:
         right_s = sigma_s * float(np.random.default_rng(seed).standard_normal())
         found = profile(right_s, seed=seed, turns=(), noise_deg=0.5, wobble_deg=0.7, known=(0.0, sigma_s))
         assert found is not None
-        mean_s, variance = found.upon(0.0, sigma_s**2)
-        sigmas.append(np.sqrt(variance))
-        off.append((mean_s - right_s) / sigmas[-1])
+        assert 1.0 / found.variance == pytest.approx(sigma_s**-2 + found.precision)
+        sigmas.append(np.sqrt(found.variance))
+        off.append((found.mean_s - right_s) / sigmas[-1])
     assert 0.2 * sigma_s < np.median(sigmas) < 0.97 * sigma_s
     assert 0.5 < np.sqrt(np.mean(np.square(off))) < 1.5
 
@@ -156,11 +155,4 @@ def test_what_was_known_may_lie_far_from_the_offsets_compared() -> None:
     """Those are about the offset used, which is right here; the prior's mean is at their end."""
     found = profile(0.45, 0.45, known=(0.0, 0.29))
     assert found is not None
-    mean_s, variance = found.upon(0.0, 0.29**2)
-    assert abs(mean_s - 0.45) < 3.0 * np.sqrt(variance) < 0.1
-
-
-def test_a_profile_and_what_was_known_are_combined_as_two_measurements() -> None:
-    found = ClockProfile(0.3, 1.0 / 0.2**2, 0.3 / 0.2**2, None)  # 0.3 s off what was known, +-0.2
-    assert found.upon(0.0, 0.2**2) == pytest.approx((0.15, 0.02))
-    assert ClockProfile(0.3, 0.0, 0.0, None).upon(0.1, 0.04) == pytest.approx((0.1, 0.04))
+    assert abs(found.mean_s - 0.45) < 3.0 * np.sqrt(found.variance) < 0.1

@@ -88,7 +88,7 @@ def test_a_sensor_that_contradicted_because_of_the_clock_fails_no_longer(best_s:
     window.noise = replace(window.noise, failing=failing)
     outcome = replace(adjust(window.prepare()), noise=window.noise)
     is_far = best_s == -0.4
-    assert window.adopt(outcome, ClockProfile(best_s, 1e30, 0.0, (best_s, best_s))) is (
+    assert window.adopt(outcome, ClockProfile(best_s, 1e30, 0.0, 0.0, (best_s, best_s))) is (
         Status.STARTING if is_far else Status.OK
     )
     assert window.noise.failing.fails_at(end_ns) == (not is_far)
@@ -133,9 +133,9 @@ def test_a_window_at_an_offset_that_another_clearly_beats_answers_nothing_and_te
     assert window.alignment.updates
     outcome = adjust(window.prepare())
     right_s = window.times_s()[0]
-    assert window.adopt(outcome, ClockProfile(right_s, 1e30, 0.0, (right_s, right_s))) is Status.OK
+    assert window.adopt(outcome, ClockProfile(right_s, 1e30, 0.0, 0.0, (right_s, right_s))) is Status.OK
     taught = window.alignment.updates
-    assert window.adopt(outcome, ClockProfile(-0.5, 1e30, 0.0, (-0.5, -0.45))) is Status.STARTING
+    assert window.adopt(outcome, ClockProfile(-0.5, 1e30, 0.0, 0.0, (-0.5, -0.45))) is Status.STARTING
     assert window.solved is None
     assert window.times_s()[0] == -0.5
     assert window.refusal.startswith("attitudes fit at another time offset: -0.50 s, not -0.")
@@ -147,7 +147,7 @@ def test_what_was_learned_stays_where_only_the_newest_window_went_astray() -> No
     learned_s = float(window.alignment.platform.mean[OFFSET])
     outcome = adjust(window.prepare())
     find(window, learned_s + 0.3)
-    assert window.adopt(outcome, ClockProfile(learned_s, 1e30, 0.0, (learned_s, learned_s))) is Status.STARTING
+    assert window.adopt(outcome, ClockProfile(learned_s, 1e30, 0.0, 0.0, (learned_s, learned_s))) is Status.STARTING
     assert window.alignment.updates
     assert window.times_s()[0] == learned_s
 
