@@ -56,7 +56,6 @@ WEIGHING_ROUNDS = 5
 TOLERATED_RMS = 1.3  # of velocity's and attitude's whitened residuals
 MAX_JITTER_S = 0.02
 MAX_NOISE_INFLATION = 2.0
-WAVE_ROUNDS = 2
 MIN_CHANGE = 0.3  # of a variance's logarithm, by which it must change to weigh a window again
 
 
@@ -116,7 +115,7 @@ def _adjusted(request: Request) -> Outcome:
     if isinstance(window, Outcome):
         return window
     noise = replace(request.noise, factors=request.noise.factors_at(window.keyframes[0].nav.stamp_ns))
-    first = window.weighed(noise, window.state)
+    window, first = _with_waves(window, window.weighed(noise, window.state))
     changed = None if request.is_mount_open else moved_optics.found(window, first)
     if changed is not None:
         return changed
@@ -187,14 +186,12 @@ def _depth_share_without_known_ground(window: WindowProblem, weighed: Weighed) -
 
 
 def _with_waves(window: WindowProblem, weighed: Weighed) -> tuple[WindowProblem, Weighed]:
-    """The window with the vibration that its rows show, the second time by the poses and points of the first."""
-    for _ in range(WAVE_ROUNDS * (window.unweighed.sweep is not None)):
-        waves = row_waves.seen(weighed.problem, weighed.solution)
-        if waves is None:
-            break
-        window = window.vibrating(waves)
-        weighed = window.weighed(weighed.noise, weighed.solution.state.with_block(window.layout, WAVES))
-    return window, weighed
+    """The window with the vibration that its rows show, if they are read in turn and show one."""
+    waves = None if window.unweighed.sweep is None else row_waves.seen(weighed.problem, weighed.solution)
+    if waves is None:
+        return window, weighed
+    window = window.vibrating(waves)
+    return window, window.weighed(weighed.noise, weighed.solution.state.with_block(window.layout, WAVES))
 
 
 def _learned(
