@@ -72,7 +72,17 @@ def seen(problem: Problem, solution: Solution) -> Waves | None:
     near = np.abs(CYCLES - CYCLES[best]) <= DRIFT
     own = np.argmax(np.where(near[:, None], gain, -np.inf), axis=0)
     # A wave of one sigma along each axis, in cosine and sine, takes off twice its square for each feature.
-    return Waves(CYCLES[own], float(np.sqrt(gain[own, np.arange(K)].sum() / (2.0 * squared.sum()))))
+    sigma_rad = float(np.sqrt(gain[own, np.arange(K)].sum() / (2.0 * squared.sum())))
+    return Waves(_between(gain, own), sigma_rad)
+
+
+def _between(gain: Array, own: NDArray[np.intp]) -> Array:
+    """(K,) cycles at the vertex of the parabola through each picture's best of `gain` (G, K) and its neighbours."""
+    middle = np.clip(own, 1, len(CYCLES) - 2)
+    before, at, after = (gain[middle + i, np.arange(len(own))] for i in (-1, 0, 1))
+    bend = np.maximum(2.0 * at - before - after, np.abs(after - before) + 1e-12)  # half a step at most
+    out: Array = CYCLES[middle] + 0.5 * (after - before) / bend * (CYCLES[1] - CYCLES[0])
+    return out
 
 
 def swing_rad(waves_rad: Array) -> float:

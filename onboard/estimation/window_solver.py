@@ -127,7 +127,7 @@ def _adjusted(request: Request) -> Outcome:
     if own_share > MAX_DEPTH_SIGMA:
         reason = f"little parallax: depths known to {100.0 * own_share:.0f} % only, without the terrain model"
         return Outcome(Status.LOW_PARALLAX, window.keyframes, noise, reason=reason)
-    window, weighed = _with_waves(window, weighed)
+    window, weighed = _with_waves(window, weighed, WEIGHING_ROUNDS)
     hold = ground_roughness.correlated(weighed.problem, weighed.solution, window.unweighed.ground_weight)
     least_own = MIN_PIXEL_SIGMA_PX / (weighed.noise.pixel_sigma_px * weighed.noise.noise_inflation)
     adjusted = refine(replace(weighed.problem, ground_weight=hold), weighed.solution, least_own, request.camera_file)
@@ -185,13 +185,22 @@ def _depth_share_without_known_ground(window: WindowProblem, weighed: Weighed) -
     return float(np.median(_depth_sigma(free, free.covariance, seen, window.layout)) / np.median(depth_m))
 
 
-def _with_waves(window: WindowProblem, weighed: Weighed) -> tuple[WindowProblem, Weighed]:
-    """The window with the vibration that its rows show, if they are read in turn and show one."""
-    waves = None if window.unweighed.sweep is None else row_waves.seen(weighed.problem, weighed.solution)
-    if waves is None:
-        return window, weighed
-    window = window.vibrating(waves)
-    return window, window.weighed(weighed.noise, weighed.solution.state.with_block(window.layout, WAVES))
+def _with_waves(window: WindowProblem, weighed: Weighed, rounds: int = 1) -> tuple[WindowProblem, Weighed]:
+    """The window with the vibration that its rows show, if they are read in turn: again while it grows.
+
+    Strong waves turn features into outliers, and poses take some of them, until they are modelled.
+    """
+    for _ in range(rounds * (window.unweighed.sweep is not None)):
+        waves = row_waves.seen(weighed.problem, weighed.solution)
+        if waves is None:
+            break
+        assert weighed.problem.sweep is not None
+        grown = waves.sigma_rad / max(weighed.problem.sweep.sigma_wave_rad, 1e-9)
+        window = window.vibrating(waves)
+        weighed = window.weighed(weighed.noise, weighed.solution.state.with_block(window.layout, WAVES))
+        if 2.0 * np.log(grown) < MIN_CHANGE:
+            break
+    return window, weighed
 
 
 def _learned(

@@ -60,6 +60,15 @@ def test_how_often_each_picture_swings_is_found_in_what_poses_leave(seed: int) -
     assert 0.3 < found.sigma_rad * CAMERA.focal_px / 1.5 < 1.5, "poses and points take some of it"
 
 
+def test_cycles_are_found_between_those_that_are_compared() -> None:
+    """Half of what lies between two moves the outer rows by a fifth of the wave: eight pictures, one at an end."""
+    right = np.append(np.linspace(5.9, 6.2, 7), row_waves.CYCLES[0])
+    gain = 40.0 - np.square(row_waves.CYCLES[:, None] - right)
+    found = row_waves._between(gain, np.argmax(gain, axis=0))
+    np.testing.assert_allclose(found[:-1], right[:-1], atol=1e-9)
+    assert abs(found[-1] - right[-1]) <= row_waves.CYCLES[1] - row_waves.CYCLES[0]
+
+
 @pytest.mark.parametrize("seed", rest_long(range(12), 2))
 def test_none_is_imagined_in_noise(seed: int) -> None:
     problem, _, _ = vibrating(seed, 0.0)
