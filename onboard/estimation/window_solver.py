@@ -194,11 +194,11 @@ def _with_waves(window: WindowProblem, weighed: Weighed, rounds: int = 1) -> tup
         waves = row_waves.seen(weighed.problem, weighed.solution)
         if waves is None:
             break
-        assert weighed.problem.sweep is not None
-        grown = waves.sigma_rad / max(weighed.problem.sweep.sigma_wave_rad, 1e-9)
+        assert window.unweighed.sweep is not None
+        has_grown = waves.sigma_rad > np.exp(0.5 * MIN_CHANGE) * window.unweighed.sweep.sigma_wave_rad
         window = window.vibrating(waves)
         weighed = window.weighed(weighed.noise, weighed.solution.state.with_block(window.layout, WAVES))
-        if 2.0 * np.log(grown) < MIN_CHANGE:
+        if not has_grown:
             break
     return window, weighed
 

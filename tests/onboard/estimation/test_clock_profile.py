@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from contract.rotations import R_ENU_NED, exp_so3, matrix_from_euler, mount_rotation
-from onboard.estimation.clock_profile import STEP_S, ClockProfile, clock_profile, offsets_about
+from onboard.estimation.clock_profile import STEP_S, ClockProfile, _upon, clock_profile, offsets_about
 from tests.rest_long import rest_long
 
 Array = NDArray[np.float64]
@@ -156,3 +156,10 @@ def test_what_was_known_may_lie_far_from_the_offsets_compared() -> None:
     found = profile(0.45, 0.45, known=(0.0, 0.29))
     assert found is not None
     assert abs(found.mean_s - 0.45) < 3.0 * np.sqrt(found.variance) < 0.1
+
+
+def test_a_profile_and_what_was_known_are_combined_as_two_measurements() -> None:
+    offsets_s = offsets_about(0.0, 1.0)
+    narrow = np.square((offsets_s - 0.3) / 0.2)  # 0.3 s off what was known, +-0.2
+    assert _upon(narrow, offsets_s, 0.0, 0.2**2) == pytest.approx((25.0, 0.15, 0.02))
+    assert _upon(np.zeros_like(offsets_s), offsets_s, 0.1, 0.04) == pytest.approx((0.0, 0.1, 0.04))
