@@ -15,8 +15,8 @@ import json
 import os
 import subprocess
 import sys
-import tarfile
 import tempfile
+import zipfile
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -83,9 +83,10 @@ class Flying:
 
 def unpacked(commit: str, folder: Path) -> Path:
     """A commit's files in `folder`."""
-    packed = subprocess.run(["git", "archive", commit], cwd=CHECKOUT, capture_output=True, check=True).stdout
-    with tarfile.open(fileobj=BytesIO(packed)) as archive:
-        archive.extractall(folder, filter="data")
+    packing = ["git", "archive", "--format=zip", commit]
+    packed = subprocess.run(packing, cwd=CHECKOUT, capture_output=True, check=True).stdout
+    with zipfile.ZipFile(BytesIO(packed)) as archive:
+        archive.extractall(folder)
     return folder
 
 
