@@ -293,7 +293,7 @@ def _linearise(problem: Problem, at: _Residuals) -> _Linear:
 
 def _point_root(V: Array, damping: float) -> Array:
     """L^-1 of all (3, 3, P) point blocks V = L L'; a tiny ridge keeps a point seen once finite."""
-    x, y, z = V.diagonal().T * (1.0 + damping) + (1e-10 * V.trace() + 1e-12)
+    x, y, z = V.diagonal().T * (1.0 + damping) + (1e-14 * V.trace() + 1e-12)
     root = np.zeros_like(V)
     root[0, 0] = 1.0 / np.sqrt(x)
     l10, l20 = V[1:, 0] * root[0, 0]

@@ -18,12 +18,13 @@ from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtri
 
 from contract.feature_set import Status
 from contract.rotations import exp_so3, log_so3, right_jacobian_inverse
 from onboard.estimation.boresight import PlatformEstimate
 from onboard.estimation.bundle_adjustment import Problem, Solution
-from onboard.estimation.factors import Layout, Prior, RangePrior, State
+from onboard.estimation.factors import AttitudePrior, Layout, PathPrior, Prior, RangePrior, State
 from onboard.estimation.keyframe import Keyframe, have_attitude, turned
 from onboard.estimation.pixel_noise import fit_of
 from onboard.estimation.platform_states import BORESIGHT, HEADING
@@ -35,7 +36,7 @@ from onboard.estimation.window_request import Outcome, Request, Weighed
 from onboard.geometry.planar_ambiguity import mirrored
 from onboard.geometry.plane_fit import fit_plane
 from onboard.geometry.robust import robust_cost
-from onboard.navigation.limits import CLEAR, SURE_SIGMAS
+from onboard.navigation.limits import CLEAR, FALSE_ALARM, SURE_SIGMAS
 from onboard.navigation.navigator import NavState
 
 Array = NDArray[np.float64]
@@ -69,7 +70,8 @@ def other_starts(request: Request, found: Outcome) -> Iterator[tuple[Keyframe, .
     """Keyframes turned as other explanations of the pictures have them, which `found` is to be compared with.
 
     Without attitude the mirrored motion of the plane, if one is possible; and the sensors' own orientations where the
-    window was refused, or, without attitude, nothing confirms it yet.
+    window was refused, where the sensors are further from it than chance has them, (16.11), or, without attitude, where
+    nothing confirms it yet.
     """
     has_attitude = have_attitude(request.keyframes)
     if found.weighed is not None and not has_attitude and found.status is not Status.LOW_PARALLAX:
@@ -80,12 +82,25 @@ def other_starts(request: Request, found: Outcome) -> Iterator[tuple[Keyframe, .
         if R is not None:
             yield turned(request.keyframes, R)
     # With attitude the sensors' start was the first one, but where the window before gave it.
-    was_refused = found.status is Status.POOR_FIT and (request.previous is not None or not has_attitude)
+    is_doubtful = found.status is Status.POOR_FIT or _is_far_from_sensors(found, has_attitude)
     is_confirmed = has_attitude or found.agreed is not None or bool(request.memory.windows)
-    is_open = was_refused or (found.status is Status.OK and not is_confirmed)
+    is_other = request.previous is not None or not has_attitude
+    is_open = (is_doubtful and is_other) or (found.status is Status.OK and not is_confirmed)
     R = by_sensors(request) if is_open else None
     if R is not None:
         yield turned(request.keyframes, R)
+
+
+def _is_far_from_sensors(found: Outcome, has_attitude: bool) -> bool:
+    """Whether a sensor's residuals are larger than chance has them in an accepted solution. (16.11)"""
+    if found.solved is None or found.weighed is None:
+        return False
+    for prior in found.weighed.problem.priors:
+        if isinstance(prior, PathPrior) or (has_attitude and isinstance(prior, AttitudePrior)):
+            r = prior.evaluate(found.solved.solution.state)[0]
+            if float(r @ r) > float(chdtri(len(r), FALSE_ALARM)):
+                return True
+    return False
 
 
 def is_far_worse(found: Outcome, other: Request) -> bool:

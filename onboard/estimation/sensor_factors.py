@@ -34,6 +34,7 @@ from onboard.estimation.sensor_table import BY_NAME, POSITION, declared
 from onboard.estimation.variance_components import VarianceFactors
 from onboard.geometry.robust import OUTLIER_SIGMAS
 from onboard.geometry.terrain_grid import Terrain
+from onboard.navigation.navigator import NavState
 from onboard.navigation.position_interpolation import Displacement
 from onboard.navigation.position_slip import DYNAMIC_TIME_S
 
@@ -151,6 +152,23 @@ def _fading(stamps_s: Array, sigma: Array) -> Array:
 def _independent(variance: Array) -> Array:
     """Covariances (3, N, N) of independent errors with these variances (N, 3)."""
     return variance.T[:, :, None] * np.eye(len(variance))
+
+
+def travelled_sigma_m(config: Config, one: NavState, other: NavState) -> Array:
+    """One sigma (3,), ENU m, of the way between two positions: what their errors do not have in common. (7.3)"""
+    if one.stretch != other.stretch:
+        return np.full(3, UNKNOWN_M)
+    navs, gps = (one, other), config.gps
+    slow_m = np.max([(n.sigma_horizontal_m, n.sigma_horizontal_m, n.sigma_vertical_m) for n in navs], axis=0)
+    forgotten = 1.0 - np.exp(-abs(other.stamp_ns - one.stamp_ns) / 1e9 / gps.correlation_time_s)
+    white_m = np.outer([n.sigma_white_m for n in navs], [1.0, 1.0, 1.5])
+    between_m = np.stack([n.joined.between_m for n in navs])
+    velocities = [n.velocity_enu_m_s for n in navs if n.velocity_enu_m_s is not None]
+    faster = velocities[1] - velocities[0] if len(velocities) == 2 else np.zeros(3)
+    late_m = faster * np.hypot(gps.sigma_latency_s, config.camera.sigma_latency_s)
+    squares = 2.0 * forgotten * slow_m**2 + np.sum(white_m**2 + between_m**2, axis=0) + late_m**2
+    out: Array = np.sqrt(squares)
+    return out
 
 
 def _position(m: Sensors) -> PositionPrior:

@@ -135,11 +135,11 @@ class Window:
         )
 
     def position_guess(self, nav: NavState) -> Array:
-        """The camera's centre by GPS, shifted as the newest solved keyframe was shifted by its solution."""
+        """The camera's centre by GPS, shifted as the nearest solved keyframe was shifted by its solution."""
         if self.solved is None:
             return nav.position_enu_m
-        newest = self.solved.keyframes[-1]
-        return nav.position_enu_m + (newest.centre_enu_m - newest.nav.position_enu_m)
+        near = self.solved.keyframes[self.solved.nearest(nav.stamp_ns)]
+        return nav.position_enu_m + (near.centre_enu_m - near.nav.position_enu_m)
 
     def pose_guess(self, seen: Observation, nav: NavState) -> Pose | None:
         """Where a new view was taken from; None where nothing gives an orientation.

@@ -48,6 +48,10 @@ class Solved:
         first, last = self.keyframes[0].nav.stamp_ns, self.keyframes[-1].nav.stamp_ns
         return first / 1e9, last / 1e9
 
+    def nearest(self, stamp_ns: int) -> int:
+        """Which keyframe was taken nearest to a moment."""
+        return int(np.argmin([abs(k.nav.stamp_ns - stamp_ns) for k in self.keyframes]))
+
     def covariance_at(self, stamp_ns: int) -> Array:
         """Of the camera side (D, D), for a picture of that time. (6.10)"""
         return self.solution.covariance + self.ground_motion.covariance(stamp_ns)

@@ -15,7 +15,7 @@ from contract.camera import Camera
 from contract.feature_set import Status
 from onboard.estimation import camera_states, ground_roughness, moved_optics, row_waves, window_problem, window_start
 from onboard.estimation.bundle_adjustment import Problem, Solution, solve
-from onboard.estimation.factors import WAVES, AttitudePrior, Layout, Prior, VelocityPrior
+from onboard.estimation.factors import WAVES, AttitudePrior, Layout, Prior, State, VelocityPrior
 from onboard.estimation.ground_motion import GroundMotion, ground_motion, ground_sigma_m_s
 from onboard.estimation.keyframe import Keyframe, have_attitude
 from onboard.estimation.pixel_noise import fit_of
@@ -35,6 +35,7 @@ from onboard.estimation.variance_components import evidence_of
 from onboard.estimation.window_acceptance import (
     MAX_DEPTH_SIGMA,
     MAX_FIT_SIGMAS,
+    MIN_DEPTH_SHARE,
     MIN_POINTS,
     by_itself,
     by_memory,
@@ -68,6 +69,19 @@ class Adjusted:
     own: float
 
 
+def lie_near(state: State, weight: Array) -> Mask:
+    """Which points (P,) are far nearer to a camera that saw them, by weight (K, P), than what else it saw. (6.16)
+
+    A point at a camera's centre fits whatever that saw: a wrong track's may end there, and would then hold the camera
+    to a place that nothing measured.
+    """
+    depth_m = np.einsum("kj,kpj->kp", state.R_cam_enu[:, 2], state.points_enu_m - state.centres_enu_m[:, None])
+    seen = weight > 0
+    usual_m = np.array([np.median(d[s]) if s.any() else 0.0 for d, s in zip(depth_m, seen, strict=True)])
+    out: Mask = np.any(seen & (depth_m < MIN_DEPTH_SHARE * usual_m[:, None]), axis=0)
+    return out
+
+
 def refine(problem: Problem, first: Solution, least_own: float, camera_file: Camera) -> Adjusted | None:
     """The second: without what lay beyond 4 sigma, weighted by the noise found, at least `least_own` of the stated.
 
@@ -88,7 +102,12 @@ def refine(problem: Problem, first: Solution, least_own: float, camera_file: Cam
     if problem.camera is not None:
         camera, taken, xy = camera_states.seen_through(camera_file, problem.camera, first.state.camera, problem.xy)
         problem = replace(problem, camera=camera, camera_taken=taken, xy=xy)
-    return Adjusted(solve(replace(problem, weight=kept / own), first.state, scale=6.0, tolerance=1e-5), kept, own)
+    solution = solve(replace(problem, weight=kept / own), first.state, scale=6.0, tolerance=1e-5)
+    near = lie_near(solution.state, kept)
+    if near.any():
+        kept[:, near] = 0.0
+        solution = solve(replace(problem, weight=kept / own), solution.state, scale=6.0, tolerance=1e-5)
+    return Adjusted(solution, kept, own)
 
 
 def adjust(request: Request) -> Outcome:
@@ -115,7 +134,8 @@ def _adjusted(request: Request) -> Outcome:
     if isinstance(window, Outcome):
         return window
     noise = replace(request.noise, factors=request.noise.factors_at(window.keyframes[0].nav.stamp_ns))
-    window, first = _with_waves(window, window.weighed(noise, window.state))
+    window, first = _without_near_points(window, window.weighed(noise, window.state))
+    window, first = _with_waves(window, first)
     changed = None if request.is_mount_open else moved_optics.found(window, first)
     if changed is not None:
         return changed
@@ -135,6 +155,15 @@ def _adjusted(request: Request) -> Outcome:
         return Outcome(Status.POOR_FIT, window.keyframes, noise, reason="nearly all measurements are outliers")
     judged = _judged(request, window, weighed, adjusted)
     return replace(judged, weighed=weighed, noise=_learned(request, noise, weighed, adjusted, judged, failed))
+
+
+def _without_near_points(window: WindowProblem, weighed: Weighed) -> tuple[WindowProblem, Weighed]:
+    """The window without tracks whose point lies next to a camera that saw it, (6.16)."""
+    near = lie_near(weighed.solution.state, weighed.problem.weight)
+    if not near.any():
+        return window, weighed
+    window = window.with_problem(weight=np.where(near, 0.0, window.unweighed.weight))
+    return window, window.weighed(weighed.noise, weighed.solution.state)
 
 
 def _without_failing_sensors(window: WindowProblem, weighed: Weighed) -> tuple[Weighed, set[str]]:

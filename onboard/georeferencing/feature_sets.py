@@ -21,18 +21,19 @@ from onboard.estimation.ground_roughness import plane_and_roughness
 from onboard.estimation.keyframe import Observation
 from onboard.estimation.resection import Resection, resect
 from onboard.estimation.rolling_shutter import Moving, Sweep
+from onboard.estimation.sensor_factors import travelled_sigma_m
 from onboard.estimation.sliding_window import Window
 from onboard.estimation.solved_window import Solved
 from onboard.geometry.linalg import solve_small
 from onboard.geometry.plane_homography import Pose
 from onboard.geometry.robust import middle
+from onboard.navigation.navigator import NavState
 
 Array = NDArray[np.float64]
 
 MIN_FEATURES = 8
 MAX_RELATIVE_SIGMA = 0.3  # a feature's own depth error beyond which it adds nothing to the ground plane
 ROTATION_PRIOR_RAD = 0.1
-POSITION_PRIOR_M = 1.0
 # Of a variance, at most: on the wire the shared part is quantised in sigmas of the rest.
 MAX_SHARED = 0.999
 
@@ -117,26 +118,39 @@ class _View:
     rate_cam_rad_s: Array | None = None  # of a picture read row by row
 
 
+@dataclass(frozen=True, eq=False)
+class _Prior:
+    """A picture's pose by a keyframe of the window and the sensors: one sigma (3,), ENU m, of the way between them."""
+
+    pose: Pose
+    keyframe: int
+    travelled_m: Array
+
+
 def place(
     window: Window,
     solved: Solved,
     seen: Observation,
     picture: Picture,
     guess: Pose,
+    nav: NavState,
     start: Pose | None = None,
     ground_range: float | None = None,
 ) -> Placed | Status:
     """The feature set of one picture, or why it has none.
 
-    `guess` starts the resection of a picture that is no keyframe of the window; `start` is this picture's pose by an
-    earlier solution, `ground_range` that of a picture that shows the same ground.
+    `guess` starts the resection of a picture that is no keyframe of the window, its centre by the nearest of these and
+    by `nav`; `start` is this picture's pose by an earlier solution, `ground_range` that of a picture that shows the
+    same ground.
     """
     rows, known = solved.rows(seen.ids)
     if np.count_nonzero(known) < MIN_FEATURES:
         return Status.FEATURELESS
     view = _keyframe_view(solved, picture.origin.frame, rows[known])
     if view is None:
-        view = _resected_view(solved, seen, rows, known, guess, start)
+        near = solved.nearest(nav.stamp_ns)
+        travelled_m = travelled_sigma_m(window.config, solved.keyframes[near].nav, nav)
+        view = _resected_view(solved, seen, rows, known, _Prior(guess, near, travelled_m), start)
         if view is None:
             return Status.POOR_FIT
     if picture.moving is not None and view.rate_cam_rad_s is not None:
@@ -163,13 +177,13 @@ def _resected_view(
     seen: Observation,
     rows: NDArray[np.intp],
     known: NDArray[np.bool_],
-    guess: Pose,
+    prior: _Prior,
     start: Pose | None,
 ) -> _View | None:
-    s = solved.solution
+    s, guess = solved.solution, prior.pose
     points = s.state.points_enu_m[rows[known]]
     weight = 1.0 / (solved.pixel_sigma_px * seen.gain[known])
-    prior = np.array([ROTATION_PRIOR_RAD] * 3 + [POSITION_PRIOR_M] * 3)
+    sigma = np.concatenate([[ROTATION_PRIOR_RAD] * 3, prior.travelled_m])
     sweep = None
     if (m := seen.moving) is not None:
         share = seen.share[known][None]
@@ -177,7 +191,7 @@ def _resected_view(
         sweep = Sweep(solved.readout_s, share, rate, velocity, m.sigma_rate_rad_s, abs(solved.readout_s))
     begin = None if start is None else (start.R_cam_enu, start.centre_enu_m)
     xy = seen.raw_xy[known]
-    pose: Resection = resect(points, xy, weight, guess.R_cam_enu, guess.centre_enu_m, prior, start=begin, sweep=sweep)
+    pose: Resection = resect(points, xy, weight, guess.R_cam_enu, guess.centre_enu_m, sigma, start=begin, sweep=sweep)
     if np.count_nonzero(pose.inliers) < max(MIN_FEATURES, 0.5 * len(points)):
         return None
     covariance = np.linalg.inv(pose.information)
@@ -185,6 +199,10 @@ def _resected_view(
     pull = covariance[:6] @ pose.by_point[pose.inliers]  # (N, 6, 3): d pose = -pull d point
     flat = pull.transpose(1, 0, 2).reshape(6, -1)
     gain = flat @ s.point_gain[used].reshape(flat.shape[1], -1)
+    # The prior is a keyframe's pose, carried on: it has that one's errors. (7.3)
+    by_prior = covariance[:6, :6] / sigma**2
+    by_prior[:, :3] = by_prior[:, :3] @ pose.R_cam_enu @ s.state.R_cam_enu[prior.keyframe].T
+    gain[:, 6 * prior.keyframe : 6 * prior.keyframe + 6] += by_prior
     noise = covariance[:6, :6] + (pull @ s.point_covariance[used]).transpose(1, 0, 2).reshape(6, -1) @ flat.T
     turning = None if sweep is None else sweep.rates_in(solved.readout_s, pose.rate_off_rad_s[None])[0]
     return _View(Pose(pose.R_cam_enu, pose.centre_enu_m), gain, noise, used, turning)

@@ -40,7 +40,8 @@ class Placing:
             return Status.STARTING
         # The ground's correlation length is estimated at every keyframe, and taken as known until the next.
         ground_range = None if near is None or record.is_keyframe else near.ground_range
-        placed = place(window, solved, record.seen, picture, guess, None if again is None else again.pose, ground_range)
+        start = None if again is None else again.pose
+        placed = place(window, solved, record.seen, picture, guess, record.nav, start, ground_range)
         if isinstance(placed, Status):
             return placed
         record.placed = placed

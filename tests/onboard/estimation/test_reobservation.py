@@ -234,7 +234,7 @@ def test_the_factor_widens_all_that_is_published_alike() -> None:
     sets = []
     for factor in (1.0, 4.0):
         solved = replace(window.solved, variance_factor=factor)
-        made = place(window, solved, scene.observations[key], picture, pose)
+        made = place(window, solved, scene.observations[key], picture, pose, scene.navs[key])
         assert isinstance(made, Placed)
         sets.append(made.feature_set)
     stated, wide = sets

@@ -79,6 +79,22 @@ def test_level_flight_is_compared_with_nothing_once_an_earlier_window_confirms_i
     assert not list(other_starts(again, _adjusted(again)))
 
 
+def test_a_solution_that_bends_the_path_away_from_gps_is_compared_all_the_same() -> None:
+    """Ten metres in one picture; half a metre is GPS's own noise. (16.11)"""
+    scene = draw(np.random.default_rng(0), SEED_SENSORS, SceneSpec())
+    window = scene.window()
+    window.adopt(adjust(window.prepare()))
+    again = window.prepare()
+    found = _adjusted(again)
+    for bent_m, starts in ((0.5, 0), (10.0, 1)):
+        assert found.solved is not None
+        solution = found.solved.solution
+        centres = solution.state.centres_enu_m.copy()
+        centres[-1, 0] += bent_m
+        bent = replace(solution, state=replace(solution.state, centres_enu_m=centres))
+        assert len(list(other_starts(again, replace(found, solved=replace(found.solved, solution=bent))))) == starts
+
+
 def test_of_two_solutions_the_less_noisy_ones_weights_decide_and_not_each_ones_own() -> None:
     """A window's cost by its own weights was 571 or 194 by nothing but the noise that its start needed."""
     scene = draw(np.random.default_rng(0), SEED_SENSORS, CLIMB)

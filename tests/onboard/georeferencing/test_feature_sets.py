@@ -24,6 +24,7 @@ from tests.rest_long import rest_long
 Array = NDArray[np.float64]
 
 UNDULATION_M = 11.0
+LOW_CLIMB = SceneSpec(speed_m_s=0.5, climb_m_s=3.0, height_m=30.0)
 
 
 def solved(scene: Scene) -> Window:
@@ -32,15 +33,36 @@ def solved(scene: Scene) -> Window:
     return window
 
 
-def publish(scene: Scene, window: Window, frame: int) -> FeatureSet | Status:
+def placed_by(scene: Scene, window: Window, frame: int) -> Placed | Status:
     seen, nav = scene.observations[frame], scene.navs[frame]
     guess = window.pose_guess(seen, nav)
     assert guess is not None
     assert window.solved is not None
     origin = Origin("uav-1", 7, frame, T0_NS + frame, 0, bool(scene.is_key[frame]))
     picture = Picture(window.camera, origin, FRAME, UNDULATION_M)
-    placed = place(window, window.solved, seen, picture, guess)
+    return place(window, window.solved, seen, picture, guess, nav)
+
+
+def publish(scene: Scene, window: Window, frame: int) -> FeatureSet | Status:
+    placed = placed_by(scene, window, frame)
     return placed.feature_set if isinstance(placed, Placed) else placed
+
+
+@pytest.mark.parametrize("spec", [SceneSpec(), LOW_CLIMB], ids=["level", "low climb"])
+def test_what_moves_the_window_moves_every_picture_with_it(spec: SceneSpec) -> None:
+    """A picture between keyframes has the window's errors, whatever its own prior adds: that is a keyframe's pose."""
+    scene = draw(np.random.default_rng(2), FULL, spec)
+    window = solved(scene)
+    assert window.solved is not None
+    layout, slope = window.solved.layout, window.solved.solution.state.plane[1:]
+    for axis in range(3):
+        moved = np.zeros(layout.size)
+        moved[layout.centres()[:, axis]] = 1.0
+        moved[np.arange(layout.size)[layout.plane][0]] = [-slope[0], -slope[1], 1.0][axis]
+        for frame in (scene.keys[3], scene.keys[3] + 1):
+            placed = placed_by(scene, window, int(frame))
+            assert isinstance(placed, Placed)
+            np.testing.assert_allclose(placed.by_state @ moved, np.eye(9)[axis], atol=1e-6)
 
 
 def truth_at(scene: Scene, frame: int, uv: Array) -> Array:

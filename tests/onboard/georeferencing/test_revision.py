@@ -39,7 +39,7 @@ def placed() -> Placed:
     guess = window.pose_guess(seen, nav)
     assert guess is not None and window.solved is not None
     picture = Picture(window.camera, Origin("uav-1", 7, frame, T0_NS + frame, 0, False), FRAME, 11.0)
-    made = place(window, window.solved, seen, picture, guess)
+    made = place(window, window.solved, seen, picture, guess, nav)
     assert isinstance(made, Placed)
     return made
 
