@@ -1,4 +1,4 @@
-"""Recorded flights over hills, draws in which clicks were once 7.4 and 4.7 ellipses off, and two beside them.
+"""Recorded flights over hills, draws in which clicks were once 7.4 and 4.7 ellipses off, and two others.
 
 The quad climbs from 15 m; a wrong track ended at its first camera and held that in place, (6.16). The quadplane banks
 by 56 degrees with camera and GPS alone; a window's newest picture fell into a wrong minimum, which bent the path by 9 m
@@ -19,7 +19,7 @@ from benchmarks.sampled_flight import replace_section
 from onboard.config.schema import parse_config
 
 
-def flown(name: str, sensors: str, draw: int) -> Score:
+def score_of(name: str, sensors: str, draw: int) -> Score:
     """As `benchmarks.autopilots --faults hills --seconds 240 --seed 3` has that draw."""
     config = replace_section(parse_config(""), "solve", **SENSORS[sensors])
     return judge(replace(Scene(name, config, STARTS[name], 240.0), **FAULTS["hills"]), seed_of(name, 3) + draw)
@@ -28,7 +28,7 @@ def flown(name: str, sensors: str, draw: int) -> Score:
 @pytest.mark.long
 @pytest.mark.parametrize("draw", [3, 0])
 def test_a_climb_of_the_quad_over_hills_stays_within_two_ellipses(draw: int) -> None:
-    score = flown("quad", "full", draw)
+    score = score_of("quad", "full", draw)
     assert score.answered["all"] > 0.9 * score.asked["all"]
     assert max(score.ratio) < 2.0 and np.quantile(score.ratio, 0.9) > 0.4
 
@@ -36,6 +36,6 @@ def test_a_climb_of_the_quad_over_hills_stays_within_two_ellipses(draw: int) -> 
 @pytest.mark.long
 @pytest.mark.parametrize("draw", [2, 1])
 def test_steep_banks_over_hills_without_attitude_stay_within_two_ellipses(draw: int) -> None:
-    score = flown("qp_transition", "gps", draw)
+    score = score_of("qp_transition", "gps", draw)
     assert score.answered["all"] > 0.7 * score.asked["all"]
     assert max(score.ratio) < 2.0 and np.quantile(score.ratio, 0.9) > 0.4

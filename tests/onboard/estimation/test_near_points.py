@@ -84,14 +84,14 @@ def test_specks_do_reach_the_camera(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_point_at_a_camera_ties_that_to_no_place() -> None:
     """Nothing but GPS knows where all of it is as a whole; a ridge that keeps points finite must not either."""
-    drawn = bundle_problem(np.random.default_rng(0))
-    assert share_of_gps(drawn.problem, drawn.truth) == pytest.approx(1.0, abs=1e-3)
-    points = drawn.truth.points_enu_m.copy()
-    (view, *_), j = np.flatnonzero(drawn.problem.weight[:, 0] > 0), 0
-    camera_m = drawn.truth.centres_enu_m[view]
+    sampled = bundle_problem(np.random.default_rng(0))
+    assert share_of_gps(sampled.problem, sampled.truth) == pytest.approx(1.0, abs=1e-3)
+    points = sampled.truth.points_enu_m.copy()
+    (view, *_), j = np.flatnonzero(sampled.problem.weight[:, 0] > 0), 0
+    camera_m = sampled.truth.centres_enu_m[view]
     points[j] = camera_m + 0.03 * (points[j] - camera_m) / np.linalg.norm(points[j] - camera_m)
-    beside = replace(drawn.truth, points_enu_m=points)
-    assert share_of_gps(drawn.problem, beside) == pytest.approx(1.0, abs=1e-3)
+    moved = replace(sampled.truth, points_enu_m=points)
+    assert share_of_gps(sampled.problem, moved) == pytest.approx(1.0, abs=1e-3)
 
 
 def test_only_points_next_to_a_camera_that_saw_them_are_near() -> None:
@@ -102,7 +102,7 @@ def test_only_points_next_to_a_camera_that_saw_them_are_near() -> None:
     assert not lie_near(state, seen).any()
     points = state.points_enu_m.copy()
     points[7] = state.centres_enu_m[2] + 0.02 * (points[7] - state.centres_enu_m[2])
-    beside = replace(state, points_enu_m=points)
-    assert np.flatnonzero(lie_near(beside, seen)).tolist() == [7]
+    moved = replace(state, points_enu_m=points)
+    assert np.flatnonzero(lie_near(moved, seen)).tolist() == [7]
     seen[:3, 7] = 0.0  # by cameras below and at the point: it did not see these, nor they it
-    assert not lie_near(beside, seen).any()
+    assert not lie_near(moved, seen).any()
