@@ -14,6 +14,7 @@ import os
 import re
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -140,12 +141,25 @@ def measured(benchmark: Benchmark, quick: bool) -> tuple[str, bool]:
     arguments = benchmark.quick if quick else benchmark.full
     command = [sys.executable, "-m", f"benchmarks.{benchmark.module}", *arguments]
     began = time.monotonic()
-    done = subprocess.run(
-        command, cwd=HERE.parent, capture_output=True, text=True, check=False, timeout=TIMEOUT_S, env=one_thread()
-    )
+    with tempfile.TemporaryFile("w+") as printed:  # not a pipe: what a program printed before it was ended is kept
+        try:
+            done = subprocess.run(
+                command,
+                cwd=HERE.parent,
+                stdout=printed,
+                stderr=subprocess.PIPE,
+                text=True,
+                check=False,
+                timeout=TIMEOUT_S,
+                env={**one_thread(), "PYTHONUNBUFFERED": "1"},
+            )
+            is_good, why = done.returncode == 0, (done.stderr.strip().splitlines() or ["?"])[-1]
+        except subprocess.TimeoutExpired:
+            is_good, why = False, f"not done after {TIMEOUT_S:.0f} s, what it had printed follows"
+        printed.seek(0)
+        said = printed.read().strip()
     took_s = time.monotonic() - began
-    is_good = done.returncode == 0
-    said = done.stdout.strip() if is_good else f"NOT measured: {(done.stderr.strip().splitlines() or ['?'])[-1]}"
+    said = said if is_good else f"NOT measured: {why}\n\n{said}".rstrip()
     ran = f"`python -m {' '.join(command[2:])}`, {datetime.now(UTC):%Y-%m-%d %H:%M} UTC, {took_s:.0f} s; {commit()}"
     return section(benchmark, ran, said), is_good
 

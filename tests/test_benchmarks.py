@@ -26,7 +26,7 @@ from benchmarks import (
     tracking,
     wire,
 )
-from benchmarks.__main__ import BENCHMARKS, RESULTS, STARTED, merge, section
+from benchmarks.__main__ import BENCHMARKS, RESULTS, STARTED, Benchmark, measured, merge, section
 from benchmarks.mechanisms import MECHANISMS
 from benchmarks.sampled_flight import Hills
 from benchmarks.short_flight import Leg, leg, out_and_back, sets_of
@@ -297,6 +297,15 @@ def test_results_name_no_folder_of_a_machine() -> None:
     text = RESULTS.read_text(encoding="utf-8")
     assert not re.findall(r"(?<![\w.])/(?:tmp|home|root|work|mnt|var|usr)/\S+", text)
     assert str(RESULTS.parent) not in section(BENCHMARKS[0], "ran", f"{RESULTS.parent}/out/growth.png")
+
+
+def test_of_a_benchmark_that_takes_too_long_what_it_printed_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("benchmarks.__main__.TIMEOUT_S", 8.0)
+    text, is_good = measured(
+        Benchmark("autopilots", "title", ("--recordings", "plane_log", "--draws", "9")), quick=False
+    )
+    assert not is_good
+    assert "NOT measured: not done after 8 s" in text and "answ, bank: clicks answered" in text
 
 
 def test_every_benchmark_has_its_section_and_was_measured() -> None:
