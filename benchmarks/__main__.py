@@ -157,11 +157,12 @@ def measured(benchmark: Benchmark, quick: bool) -> tuple[str, bool]:
         except subprocess.TimeoutExpired:
             is_good, why = False, f"not done after {TIMEOUT_S:.0f} s, what it had printed follows"
         printed.seek(0)
-        said = printed.read().strip()
+        output = printed.read().strip()
     took_s = time.monotonic() - began
-    said = said if is_good else f"NOT measured: {why}\n\n{said}".rstrip()
+    if not is_good:
+        output = f"NOT measured: {why}\n\n{output}".rstrip()
     ran = f"`python -m {' '.join(command[2:])}`, {datetime.now(UTC):%Y-%m-%d %H:%M} UTC, {took_s:.0f} s; {commit()}"
-    return section(benchmark, ran, said), is_good
+    return section(benchmark, ran, output), is_good
 
 
 def commit() -> str:

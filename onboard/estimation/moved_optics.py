@@ -28,6 +28,7 @@ from onboard.estimation.sensor_groups import contradictions, innovations
 from onboard.estimation.sensor_table import HEADING, TILT
 from onboard.estimation.window_problem import WindowProblem
 from onboard.estimation.window_request import Noise, Outcome, Request, Weighed
+from onboard.navigation.limits import SURE_SIGMAS
 
 MOVED = (Status.STABILISED, Status.ZOOMED)
 MOVED_BY_CHANCE = 1e-9  # that chance makes as much of a hypothesis
@@ -133,7 +134,8 @@ class Hypotheses:
         noise = replace(weighed.noise, factors=replace(weighed.noise.factors, groups={}))
         # Nor do hills contradict the pictures, whose points all lie above or below a plane together.
         hold = ground_roughness.correlated(weighed.problem, weighed.solution, stated.unweighed.ground_weight)
-        stated = stated.with_problem(ground_weight=hold)
+        weight = np.where(window.unweighed.weight > 0.0, stated.unweighed.weight, 0.0)
+        stated = stated.with_problem(ground_weight=hold, weight=weight)
         self._closed, self._first = window.with_problem(ground_weight=hold), weighed.solution
         self._noise, self._lens = noise, stated.weighed(noise, stated.state).solution
         self._window, self._none = with_open_rows(stated, noise, self._lens)
@@ -167,7 +169,10 @@ class Hypotheses:
         state = self._none.state.with_block(tried.layout, block)
         if block == SHIFT:
             state = self._hiding(self.solved[ATTITUDE].state, state)
-        return self._explained(block, tried.weighed(self._noise, state).solution, OWN_STATES[block])
+        solution = tried.weighed(self._noise, state).solution
+        explained = self._explained(block, solution, OWN_STATES[block])
+        # States far outside what they may be bend to wrong tracks, and explain nothing.
+        return explained if _are_possible(tried, solution.state) else replace(explained, gain=0.0)
 
     def _hiding(self, turned: State, state: State) -> State:
         """A start for shifts: the frames hide by how much the pictures' rotations part from the attitudes'. (19.5)"""
@@ -183,6 +188,12 @@ class Hypotheses:
         self.solved[name] = solution
         pictures = self._window.layout.keyframes - (name != ATTITUDE)
         return excess_of(2.0 * (self._none.cost - solution.cost), solution, states * pictures)
+
+
+def _are_possible(window: WindowProblem, state: State) -> bool:
+    """Whether no image state is more than three sigmas from its prior."""
+    blocks = window.unweighed.blocks
+    return not any(b.sigma is not None and np.abs(b.values(state)).max() > SURE_SIGMAS * b.sigma for b in blocks)
 
 
 def with_open_rows(window: WindowProblem, noise: Noise, solution: Solution) -> tuple[WindowProblem, Solution]:

@@ -142,6 +142,20 @@ def test_a_camera_mounted_askew_is_not_taken_for_moved_optics_without_attitude()
     assert found.statuses[Status.OK] > 0.7 * found.statuses.total(), found.statuses
 
 
+@pytest.mark.long
+@pytest.mark.usefixtures("shared_data")
+@pytest.mark.parametrize("late_s", [-0.08, 0.0])
+def test_a_take_off_with_a_tenth_of_wrong_tracks_is_not_called_stabilised(late_s: float) -> None:
+    """Its heading is off; shifts, with rows turning by 1.3 rad in a picture, fitted wrong tracks: 50 s were refused."""
+    askew_deg = (-2.0, -1.0, -0.3)
+    track = {"outlier_share": 0.1, "camera": Camera.from_field_of_view(640, 480, 82.6), "relief_sigma_m": 0.5}
+    flight = recorded("quad", 25.4, 60.0, "[mount]\nyaw_deg = -90.0", mount_error_deg=askew_deg, attitude_hz=4.0,
+                      rate_hz=4.0, stamps_late_s=late_s, **track)  # fmt: skip
+    found = simulated(flight)
+    assert not MOVED & set(found.statuses), found.statuses
+    assert max(found.errors_in(0.0, 60.0)) < 2.0 and len(found.errors_in(0.0, 60.0)) > 100
+
+
 @pytest.mark.parametrize("seed", rest_long([365051, 365053, 365056]))
 def test_the_first_windows_of_a_copter_on_camera_and_gps_are_not_called_zoomed(shared_data: Path, seed: int) -> None:
     """It climbs, then flies sideways: until its orientation is found, pictures part by more than a focal length.

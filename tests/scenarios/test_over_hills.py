@@ -26,6 +26,7 @@ def score_of(name: str, sensors: str, draw: int) -> Score:
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("shared_data")
 @pytest.mark.parametrize("draw", [3, 0])
 def test_a_climb_of_the_quad_over_hills_stays_within_two_ellipses(draw: int) -> None:
     score = score_of("quad", "full", draw)
@@ -34,6 +35,7 @@ def test_a_climb_of_the_quad_over_hills_stays_within_two_ellipses(draw: int) -> 
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("shared_data")
 @pytest.mark.parametrize("draw", [2, 1])
 def test_steep_banks_over_hills_without_attitude_stay_within_two_ellipses(draw: int) -> None:
     score = score_of("qp_transition", "gps", draw)
