@@ -13,6 +13,7 @@ Public:
 - `reobservation`: `RelativeVariance`
 - `resection`: `Resection`, `resect`
 - `rolling_shutter`: `Moving`, `Sweep`, `rates_between`
+- `sensor_factors`: `travelled_sigma_m`
 - `sensor_groups`: `Failing`, `FORGOTTEN`
 - `shared_errors`: `SensorPose`
 - `sliding_window`: `Window`
