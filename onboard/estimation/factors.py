@@ -117,6 +117,13 @@ class State:
         """Deviations from the camera file, see `camera_states`."""
         return self.platform[STATES:]
 
+    @property
+    def depths_m(self) -> Array:
+        """Of every point along every view's axis (K, P)."""
+        offset_m = self.points_enu_m - self.centres_enu_m[:, None]
+        out: Array = np.einsum("kj,kpj->kp", self.R_cam_enu[:, 2], offset_m)
+        return out
+
     def retract(self, dc: Array, dp: Array) -> State:
         """Apply a step: dc (Layout.size,), dp (P, 3), which is what points move by to first order. Section 6."""
         K, shared = len(self.R_cam_enu), len(self.platform)

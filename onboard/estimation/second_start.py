@@ -82,10 +82,10 @@ def other_starts(request: Request, found: Outcome) -> Iterator[tuple[Keyframe, .
         if R is not None:
             yield turned(request.keyframes, R)
     # With attitude the sensors' start was the first one, but where the window before gave it.
-    is_doubtful = found.status is Status.POOR_FIT or _is_far_from_sensors(found, has_attitude)
-    is_confirmed = has_attitude or found.agreed is not None or bool(request.memory.windows)
     is_other = request.previous is not None or not has_attitude
-    is_open = (is_doubtful and is_other) or (found.status is Status.OK and not is_confirmed)
+    is_doubtful = is_other and (found.status is Status.POOR_FIT or _is_far_from_sensors(found, has_attitude))
+    is_confirmed = has_attitude or found.agreed is not None or bool(request.memory.windows)
+    is_open = is_doubtful or (found.status is Status.OK and not is_confirmed)
     R = by_sensors(request) if is_open else None
     if R is not None:
         yield turned(request.keyframes, R)

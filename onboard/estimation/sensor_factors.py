@@ -154,28 +154,31 @@ def _independent(variance: Array) -> Array:
     return variance.T[:, :, None] * np.eye(len(variance))
 
 
+def _claims_m(navs: Sequence[NavState]) -> tuple[Array, Array]:
+    """One sigma of positions: the largest Gauss-Markov part (3,), and the white part (3, N)."""
+    slow_m = np.array([(n.sigma_horizontal_m, n.sigma_horizontal_m, n.sigma_vertical_m) for n in navs])
+    return slow_m.max(axis=0), np.outer([1.0, 1.0, 1.5], [n.sigma_white_m for n in navs])
+
+
 def travelled_sigma_m(config: Config, one: NavState, other: NavState) -> Array:
     """One sigma (3,), ENU m, of the way between two positions: what their errors do not have in common. (7.3)"""
     if one.stretch != other.stretch:
         return np.full(3, UNKNOWN_M)
     navs, gps = (one, other), config.gps
-    slow_m = np.max([(n.sigma_horizontal_m, n.sigma_horizontal_m, n.sigma_vertical_m) for n in navs], axis=0)
+    slow_m, white_m = _claims_m(navs)
     forgotten = 1.0 - np.exp(-abs(other.stamp_ns - one.stamp_ns) / 1e9 / gps.correlation_time_s)
-    white_m = np.outer([n.sigma_white_m for n in navs], [1.0, 1.0, 1.5])
     between_m = np.stack([n.joined.between_m for n in navs])
     velocities = [n.velocity_enu_m_s for n in navs if n.velocity_enu_m_s is not None]
     faster = velocities[1] - velocities[0] if len(velocities) == 2 else np.zeros(3)
     late_m = faster * np.hypot(gps.sigma_latency_s, config.camera.sigma_latency_s)
-    squares = 2.0 * forgotten * slow_m**2 + np.sum(white_m**2 + between_m**2, axis=0) + late_m**2
+    squares = 2.0 * forgotten * slow_m**2 + np.sum(white_m.T**2 + between_m**2, axis=0) + late_m**2
     out: Array = np.sqrt(squares)
     return out
 
 
 def _position(m: Sensors) -> PositionPrior:
     stamps, navs, time_s = m.stamps_s, [k.nav for k in m.keyframes], m.config.gps.correlation_time_s
-    claims_m = np.array([(n.sigma_horizontal_m, n.sigma_horizontal_m, n.sigma_vertical_m) for n in navs])
-    slow_m, datum_m = claims_m.max(axis=0), max(n.sigma_datum_m for n in navs)
-    white_m = np.outer([1.0, 1.0, 1.5], [n.sigma_white_m for n in navs])
+    (slow_m, white_m), datum_m = _claims_m(navs), max(n.sigma_datum_m for n in navs)
     white = shared_fixes([n.joined.weights for n in navs]) * (white_m[:, :, None] * white_m[:, None])
     between_m = np.stack([n.joined.between_m for n in navs])
     fixed = _independent((m.jitter_s * m.velocities_enu_m_s) ** 2 + between_m**2)

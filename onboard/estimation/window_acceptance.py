@@ -87,9 +87,7 @@ def by_itself(
     """What speaks against a solution; None if nothing does. `kept` (K, P) weights, `good` (P,) points, `before`: the
     sensors as weighted by earlier windows.
     """
-    offset = s.state.points_enu_m - s.state.centres_enu_m[:, None]
-    depth = np.einsum("kj,kpj->kp", s.state.R_cam_enu[:, 2], offset)
-    used = kept > 0
+    depth, used = s.state.depths_m, kept > 0
     least_m = MIN_DEPTH_SHARE * float(np.median(np.abs(depth[used])))
     if share_below(s.state, used) < MIN_AHEAD:
         return "the ground lies above the aircraft"

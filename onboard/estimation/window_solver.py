@@ -75,8 +75,7 @@ def lie_near(state: State, weight: Array) -> Mask:
     A point at a camera's centre fits whatever that saw: a wrong track's may end there, and would then hold the camera
     to a place that nothing measured.
     """
-    depth_m = np.einsum("kj,kpj->kp", state.R_cam_enu[:, 2], state.points_enu_m - state.centres_enu_m[:, None])
-    seen = weight > 0
+    depth_m, seen = state.depths_m, weight > 0
     usual_m = np.array([np.median(d[s]) if s.any() else 0.0 for d, s in zip(depth_m, seen, strict=True)])
     out: Mask = np.any(seen & (depth_m < MIN_DEPTH_SHARE * usual_m[:, None]), axis=0)
     return out
@@ -303,8 +302,7 @@ def _judged(request: Request, window: WindowProblem, weighed: Weighed, adjusted:
     sigma_px = noise.pixel_sigma_px * noise.noise_inflation * own * fit
     if sigma_px > MAX_FIT_SIGMAS * config.solve.pixel_sigma_px * max(1.0, camera.width_px / 640.0):
         return refused(Status.POOR_FIT, f"large residuals: {sigma_px:.1f} px")
-    depth = np.einsum("kj,kpj->kp", s.state.R_cam_enu[:, 2], s.state.points_enu_m - s.state.centres_enu_m[:, None])
-    depth_m = float(np.median(np.abs(depth[used])))
+    depth_m = float(np.median(np.abs(s.state.depths_m[used])))
     still = float(np.median(_depth_sigma(s, s.covariance, good, layout))) / depth_m * max(fit, 1.0)
     if still > MAX_DEPTH_SIGMA:
         return refused(Status.LOW_PARALLAX, f"little parallax: depths known to {100.0 * still:.0f} % only")
