@@ -60,7 +60,10 @@ BENCHMARKS = (
         ("--recordings", "plane_clean", "--seconds", "40", "--faults", "hills"),
     ),
     Benchmark(
-        "ablation", "What each mechanism buys", (), ("--mechanisms", "row waves", "--draws", "2", "--flights", "own")
+        "ablation",
+        "What each mechanism buys",
+        (),
+        ("--mechanisms", "row waves", "--draws", "2", "--again", "0", "--flights", "own"),
     ),
     Benchmark(
         "rolling_shutter",

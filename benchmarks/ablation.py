@@ -1,6 +1,6 @@
 """What each mechanism of the estimator buys: every one off in turn, on the flights it exists for and on ordinary ones.
 
-    python -m benchmarks.ablation [--mechanisms "row waves,zoom"] [--draws 6] [--flights "own,ordinary"]
+    python -m benchmarks.ablation [--mechanisms "row waves,zoom"] [--draws 6] [--again 10] [--flights "own,ordinary"]
 
 Recorded telemetry of real autopilot software over simulated ground and simulated flights; features are points of the
 ground with pixel noise, so nothing is rendered and nothing tracked. A mechanism is switched off from here
@@ -10,13 +10,14 @@ over the draws of the share of clicks answered, of the median and the 90 % error
 ellipse, of sharpness (`click_score`) and of the worst error over its own ellipse; then what switching the mechanism off
 changes, as the mean of the paired differences and its standard error (errors in per cent of what they are with
 everything on, shares in points). Then, for each mechanism, what is worse and what is better without it beyond the 95 %
-interval of its draws (Student's t).
+interval of its draws (Student's t). Where nothing is worse, all that once more with more draws of its own flights.
 """
 
 from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 
 import numpy as np
@@ -26,7 +27,7 @@ from scipy.stats import t as student
 from benchmarks.ablation_scenes import ORDINARY, ORDINARY_SECONDS, Trial, own
 from benchmarks.click_score import Score, clicks, scored
 from benchmarks.machine import describe
-from benchmarks.mechanisms import MECHANISMS
+from benchmarks.mechanisms import MECHANISMS, Mechanism
 from benchmarks.scatter import mean_and_sigma
 from contract.feature_set import FeatureSet
 from onboard.pipeline.pipeline import Pipeline
@@ -69,11 +70,18 @@ def figures(score: Score) -> Array:
     return np.array([answered, median, ninth, np.mean(ratio < 1.0), np.quantile(ratio, 0.9), ratio.max()])
 
 
-def simulated(trial: Trial, draws: int, how: AbstractContextManager[None]) -> tuple[Array, float]:
-    """Figures (N, 6) of some draws of a flight, and the estimator's mean processor time (s)."""
+def simulated(
+    trial: Trial, draws: int, how: AbstractContextManager[None], scores: list[Score] | None = None
+) -> tuple[Array, float]:
+    """Figures (N, 6) of some draws of a flight, and the estimator's mean processor time (s).
+
+    `scores`: of the first draws, if they have been simulated before; those that were not are appended.
+    """
+    scores = [] if scores is None else scores
     with how:
-        scores = [fly(trial, trial.seed + draw) for draw in range(draws)]
-    return np.stack([figures(score) for score in scores]), float(np.mean([score.processor_s for score in scores]))
+        scores += [fly(trial, trial.seed + draw) for draw in range(len(scores), draws)]
+    used = scores[:draws]
+    return np.stack([figures(score) for score in used]), float(np.mean([score.processor_s for score in used]))
 
 
 def differences(on: Array, off: Array) -> Array:
@@ -116,11 +124,47 @@ def row(name: str, flight: str, on: tuple[Array, float], off: tuple[Array, float
     return f"| {name} | {flight} | {means} | {worst:.1f} | {' | '.join(changes)} | {on[1]:.1f} -> {off[1]:.1f} |"
 
 
+def compared(
+    mechanism: Mechanism, trials: Sequence[Trial], draws: int, known: dict[tuple[str, str], list[Score]]
+) -> tuple[list[str], list[str]]:
+    """Print a mechanism's rows; what is worse without it, and what is better, in words.
+
+    `known`: what has been simulated, by the mechanism that was off ("": none) and the flight.
+    """
+    worse: list[str] = []
+    better: list[str] = []
+    for trial in trials:
+        on = simulated(trial, draws, nullcontext(), known.setdefault(("", trial.name), []))
+        off = simulated(trial, draws, mechanism.off(), known.setdefault((mechanism.name, trial.name), []))
+        print(row(mechanism.name, trial.name, on, off), flush=True)
+        more_worse, more_better = change(trial.name, on[0], off[0])
+        worse += more_worse
+        better += more_better
+    return worse, better
+
+
+def table(
+    mechanisms: Sequence[Mechanism],
+    trials: Callable[[Mechanism], Sequence[Trial]],
+    draws: int,
+    known: dict[tuple[str, str], list[Score]],
+) -> list[Mechanism]:
+    """Print the rows of some mechanisms, and what they show; those without which nothing is worse."""
+    columns = " | ".join([*COLUMNS, *(f"change of {f}" for f in FIGURES)])
+    print(f"| mechanism off | flight | {columns} | processor s |\n|---|---|{'---:|' * 13}", flush=True)
+    verdicts = [compared(mechanism, trials(mechanism), draws, known) for mechanism in mechanisms]
+    print("\n| mechanism | off means | worse without it | better without it |\n|---|---|---|---|")
+    for m, (worse, better) in zip(mechanisms, verdicts, strict=True):
+        print(f"| {m.name} | {m.neutral} | {'; '.join(worse) or 'nothing'} | {'; '.join(better) or 'nothing'} |")
+    return [mechanism for mechanism, (worse, _) in zip(mechanisms, verdicts, strict=True) if not worse]
+
+
 def main() -> None:
-    """Print the table."""
+    """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--mechanisms", default=",".join(m.name for m in MECHANISMS))
     parser.add_argument("--draws", type=int, default=4, help="of every flight; at least two")
+    parser.add_argument("--again", type=int, default=10, help="draws where those show nothing; 0: not again")
     parser.add_argument("--flights", default="own,ordinary", help="own, ordinary, or both")
     args = parser.parse_args()
     if args.draws < 2:
@@ -130,29 +174,16 @@ def main() -> None:
     print(f"{describe()}\n")
     print(f"{args.draws} draws; ordinary: {'; '.join(t.name for t in ORDINARY)}; {ORDINARY_SECONDS:.0f} s each.\n")
     print(f"{LEGEND}\n")
-    columns = "answered | median m | 90 % m | inside | sharpness | worst | " + " | ".join(
-        f"change of {f}" for f in FIGURES
-    )
-    print(f"| mechanism off | flight | {columns} | processor s |\n|---|---|{'---:|' * 13}", flush=True)
-    known: dict[str, tuple[Array, float]] = {}
-    verdicts: dict[str, tuple[list[str], list[str]]] = {}
-    for mechanism in sorted((m for m in MECHANISMS if m.name in asked), key=lambda m: asked.index(m.name)):
-        trials = (by_mechanism[mechanism.name] if "own" in kinds else ()) + (ORDINARY if "ordinary" in kinds else ())
-        worse, better = verdicts.setdefault(mechanism.name, ([], []))
-        for trial in trials:
-            if trial.name not in known:
-                known[trial.name] = simulated(trial, args.draws, nullcontext())
-            off = simulated(trial, args.draws, mechanism.off())
-            print(row(mechanism.name, trial.name, known[trial.name], off), flush=True)
-            more_worse, more_better = change(trial.name, known[trial.name][0], off[0])
-            worse.extend(more_worse)
-            better.extend(more_better)
-    neutral = {m.name: m.neutral for m in MECHANISMS}
-    print("\n| mechanism | off means | worse without it | better without it |\n|---|---|---|---|")
-    for name, (worse, better) in verdicts.items():
-        print(f"| {name} | {neutral[name]} | {'; '.join(worse) or 'nothing'} | {'; '.join(better) or 'nothing'} |")
-    idle = [name for name, (worse, _) in verdicts.items() if not worse]
-    print(f"\nShows nothing: {', '.join(idle) or 'none'}. Processor time of all: {time.process_time() - began:.0f} s")
+    chosen = sorted((m for m in MECHANISMS if m.name in asked), key=lambda m: asked.index(m.name))
+    ordinary = ORDINARY if "ordinary" in kinds else ()
+    own_of = {m.name: by_mechanism[m.name] if "own" in kinds else () for m in chosen}
+    known: dict[tuple[str, str], list[Score]] = {}
+    idle = table(chosen, lambda m: own_of[m.name] + ordinary, args.draws, known)
+    if idle and args.again > args.draws and "own" in kinds:
+        print(f"\nThose that show nothing, on the flights that they exist for, {args.again} draws.\n")
+        idle = table(idle, lambda m: own_of[m.name], args.again, known)
+    shown = ", ".join(m.name for m in idle) or "none"
+    print(f"\nShows nothing: {shown}. Processor time of all: {time.process_time() - began:.0f} s")
 
 
 if __name__ == "__main__":

@@ -365,6 +365,30 @@ def test_a_difference_counts_once_it_exceeds_the_scatter_of_its_draws() -> None:
     assert len(cells) == 2 + len(ablation.COLUMNS) + len(ablation.FIGURES) + 1
 
 
+def test_a_mechanism_that_shows_nothing_is_compared_again_with_more_draws_of_its_own_flights(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    calls: list[tuple[str, int]] = []
+
+    def fly(trial: ablation_scenes.Trial, seed: int) -> click_score.Score:
+        calls.append((trial.name, seed - trial.seed))
+        score = click_score.Score(error_m=[1.0 + 0.1 * seed, 2.0], ratio=[0.5, 0.8])
+        score.asked["all"] = score.answered["all"] = 2
+        return score
+
+    monkeypatch.setattr(ablation, "fly", fly)
+    monkeypatch.setattr("sys.argv", ["ablation", "--mechanisms", "zoom", "--draws", "2", "--again", "3"])
+    ablation.main()
+    printed = capsys.readouterr().out
+    own, ordinary = ablation_scenes.own()["zoom"], ablation_scenes.ORDINARY
+    assert printed.count("| zoom |") == 2 * len(own) + len(ordinary) + 2  # two verdicts
+    assert "Shows nothing: zoom." in printed
+    # Each with the mechanism and without it, and none twice.
+    assert sorted(calls) == sorted(
+        [(t.name, d) for t in own for d in range(3)] * 2 + [(t.name, d) for t in ordinary for d in range(2)] * 2
+    )
+
+
 def test_sharpness_is_one_for_errors_as_stated_and_half_for_ellipses_twice_too_wide() -> None:
     rng = np.random.default_rng(0)
     score = click_score.Score()
