@@ -212,6 +212,7 @@ def own() -> dict[str, tuple[Trial, ...]]:
     """By the name of the mechanism."""
     late = recorded("plane_wind_noise", fault="late", seconds=ORDINARY_SECONDS)
     climb, quadplane = sampled("climb, camera + GPS", config=GPS_ONLY, path=CLIMB), recorded("qp_transition", "gps")
+    steep_climb = sampled("steep climb, camera + GPS", config=GPS_ONLY, path=replace(CLIMB, speed_m_s=1.0))
     # A mount is chosen once, in the first seconds.
     gimbal = replace(sampled("gimbal, photographs", GimbalFlight, rate_hz=0.7, path=SURVEY, seconds=25.0), warm_s=0.0)
     return {
@@ -253,7 +254,7 @@ def own() -> dict[str, tuple[Trial, ...]]:
             climb,
             sampled("climb straight up, camera + GPS", config=GPS_ONLY, path=replace(CLIMB, speed_m_s=0.7)),
         ),
-        "headings all round": (quadplane, climb),
+        "headings all round": (quadplane, climb, steep_climb),
         "reobservation": (
             sampled(
                 "lens 0.4 % off, claimed exact",
