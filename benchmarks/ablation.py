@@ -41,7 +41,7 @@ UNITS = (" points", " %", " %", " points", "", "")
 
 LEGEND = """\
 First the means with everything on, then what switching off changes: mean and standard error of the paired differences,
-shares in points, errors in per cent; nan where a draw answers nothing without it."""
+shares in points, errors in per cent, of the draws that answer both with and without it; nan of fewer than two."""
 
 
 def fly(trial: Trial, seed: int) -> Score:
@@ -91,6 +91,17 @@ def differences(on: Array, off: Array) -> Array:
     return out
 
 
+def of_both(changes: Array) -> tuple[float, float]:
+    """Mean and standard error of changes (N,), nan in a draw that answers nothing with or without a mechanism."""
+    known = changes[np.isfinite(changes)]
+    return mean_and_sigma(known) if len(known) > 1 else (float("nan"), float("nan"))
+
+
+def interval(changes: Array) -> float:
+    """Half of the 95 % interval of the mean of so many changes (N,) as are known, in standard errors."""
+    return float(student.ppf(0.975, max(np.count_nonzero(np.isfinite(changes)) - 1, 1)))
+
+
 def _judged(f: Array) -> Array:
     """(N, 6) how bad figures (N, 6) are: coverage and sharpness by how far from right, whichever way."""
     off_right = np.abs(np.log2(np.maximum(f[:, 4], 1e-3)))
@@ -102,13 +113,10 @@ def change(name: str, on: Array, off: Array) -> tuple[list[str], list[str]]:
     worse: list[str] = []
     better: list[str] = []
     judged, steps = _judged(off) - _judged(on), differences(on, off)
-    interval = float(student.ppf(0.975, len(on) - 1))
     for figure, unit, bad, step in zip(FIGURES, UNITS, judged.T, steps.T, strict=True):
-        mean, error = mean_and_sigma(bad)
-        if not np.isfinite(mean):
-            worse.append(f"{name}: {figure} none")
-        elif abs(mean) > max(interval * error, 1e-9):
-            changed, least = mean_and_sigma(step)
+        mean, error = of_both(bad)
+        if abs(mean) > max(interval(bad) * error, 1e-9):  # of nan: no
+            changed, least = of_both(step)
             text = f"{name}: {figure} {changed:+.2g} ± {least:.1g}{unit}"
             (worse if mean > 0.0 else better).append(text)
     return worse, better
@@ -118,8 +126,8 @@ def row(name: str, flight: str, on: tuple[Array, float], off: tuple[Array, float
     """A row of the table."""
     answered, median, ninth, inside, sharpness, worst = np.nanmean(on[0], axis=0)
     steps = differences(on[0], off[0])
-    changes = ["{:+.1f} ± {:.1f}".format(*mean_and_sigma(step)) for step in steps[:, :4].T]
-    changes += ["{:+.2f} ± {:.2f}".format(*mean_and_sigma(step)) for step in steps[:, 4:].T]
+    changes = ["{:+.1f} ± {:.1f}".format(*of_both(step)) for step in steps[:, :4].T]
+    changes += ["{:+.2f} ± {:.2f}".format(*of_both(step)) for step in steps[:, 4:].T]
     means = f"{100 * answered:.0f} % | {median:.2f} | {ninth:.2f} | {100 * inside:.0f} % | {sharpness:.2f}"
     return f"| {name} | {flight} | {means} | {worst:.1f} | {' | '.join(changes)} | {on[1]:.1f} -> {off[1]:.1f} |"
 

@@ -365,6 +365,20 @@ def test_a_difference_counts_once_it_exceeds_the_scatter_of_its_draws() -> None:
     assert len(cells) == 2 + len(ablation.COLUMNS) + len(ablation.FIGURES) + 1
 
 
+def test_draws_that_answer_nothing_with_or_without_a_mechanism_count_only_by_what_is_answered() -> None:
+    on = np.tile([0.9, 4.0, 9.0, 0.9, 1.0, 1.2], (6, 1))
+    on[0] = [0.0, *[np.nan] * 5]
+    off = on + np.where(np.isfinite(on), [0.0, 0.5, 0.0, 0.0, 0.0, 0.0], 0.0)
+    off[0] = [0.5, 4.0, 9.0, 0.9, 1.0, 1.2]
+    off[1] = [0.0, *[np.nan] * 5]
+    worse, better = ablation.change("a", on, off)
+    assert [text.split(" ")[1] for text in worse] == ["median"]
+    assert not better
+    off[:] = [0.0, *[np.nan] * 5]
+    worse, better = ablation.change("a", on[1:], off[1:])
+    assert [text.split(" ")[1] for text in worse] == ["answered"]
+
+
 def test_a_mechanism_that_shows_nothing_is_compared_again_with_more_draws_of_its_own_flights(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
