@@ -38,10 +38,13 @@ CLICKS = 4
 FIGURES = ("answered", "median", "90 %", "inside", "sharpness", "worst")
 COLUMNS = ("answered", "median m", "90 % m", "inside", "sharpness", "worst")
 UNITS = (" points", " %", " %", " points", "", "")
+# Of a draw that answers nothing: a refusal is not wrong, and what is answered in its place may be.
+REFUSED = np.array([0.0, np.nan, np.nan, 0.9, 1.0, np.nan])
 
 LEGEND = """\
 First the means with everything on, then what switching off changes: mean and standard error of the paired differences,
-shares in points, errors in per cent, of the draws that answer both with and without it; nan of fewer than two."""
+shares in points, errors in per cent, of the draws that answer without it (errors: and with it); nan of fewer than two.
+A draw that answers only without it is compared with 90 % inside and sharpness 1."""
 
 
 def fly(trial: Trial, seed: int) -> Score:
@@ -86,13 +89,24 @@ def simulated(
 
 def differences(on: Array, off: Array) -> Array:
     """(N, 6) what switching off changes in each draw: shares in points, errors in per cent of their mean."""
-    scale = np.array([0.01, *np.nanmean(on[:, 1:3], axis=0) / 100.0, 0.01, 1.0, 1.0])
-    out: Array = (off - on) / scale
+    scale = np.array([0.01, *means(on)[1:3] / 100.0, 0.01, 1.0, 1.0])
+    out: Array = (off - refused_as_right(on)) / scale
     return out
 
 
-def of_both(changes: Array) -> tuple[float, float]:
-    """Mean and standard error of changes (N,), nan in a draw that answers nothing with or without a mechanism."""
+def means(on: Array) -> Array:
+    """(6,) of figures (N, 6): all but the first of draws that answer anything."""
+    answering = on[np.isfinite(on[:, 1]), 1:]
+    return np.append(on[:, 0].mean(), answering.mean(axis=0) if len(answering) else np.full(5, np.nan))
+
+
+def refused_as_right(on: Array) -> Array:
+    """Figures (N, 6), those of draws that answer nothing as `REFUSED`."""
+    return np.where(np.isfinite(on[:, 1:2]), on, REFUSED)
+
+
+def of_known(changes: Array) -> tuple[float, float]:
+    """Mean and standard error of changes (N,), nan in draws that have none."""
     known = changes[np.isfinite(changes)]
     return mean_and_sigma(known) if len(known) > 1 else (float("nan"), float("nan"))
 
@@ -112,11 +126,11 @@ def change(name: str, on: Array, off: Array) -> tuple[list[str], list[str]]:
     """What is worse without a mechanism on a flight, and what is better, beyond the interval of the draws, in words."""
     worse: list[str] = []
     better: list[str] = []
-    judged, steps = _judged(off) - _judged(on), differences(on, off)
+    judged, steps = _judged(off) - _judged(refused_as_right(on)), differences(on, off)
     for figure, unit, bad, step in zip(FIGURES, UNITS, judged.T, steps.T, strict=True):
-        mean, error = of_both(bad)
+        mean, error = of_known(bad)
         if abs(mean) > max(interval(bad) * error, 1e-9):  # of nan: no
-            changed, least = of_both(step)
+            changed, least = of_known(step)
             text = f"{name}: {figure} {changed:+.2g} ± {least:.1g}{unit}"
             (worse if mean > 0.0 else better).append(text)
     return worse, better
@@ -124,12 +138,12 @@ def change(name: str, on: Array, off: Array) -> tuple[list[str], list[str]]:
 
 def row(name: str, flight: str, on: tuple[Array, float], off: tuple[Array, float]) -> str:
     """A row of the table."""
-    answered, median, ninth, inside, sharpness, worst = np.nanmean(on[0], axis=0)
+    answered, median, ninth, inside, sharpness, worst = means(on[0])
     steps = differences(on[0], off[0])
-    changes = ["{:+.1f} ± {:.1f}".format(*of_both(step)) for step in steps[:, :4].T]
-    changes += ["{:+.2f} ± {:.2f}".format(*of_both(step)) for step in steps[:, 4:].T]
-    means = f"{100 * answered:.0f} % | {median:.2f} | {ninth:.2f} | {100 * inside:.0f} % | {sharpness:.2f}"
-    return f"| {name} | {flight} | {means} | {worst:.1f} | {' | '.join(changes)} | {on[1]:.1f} -> {off[1]:.1f} |"
+    changes = ["{:+.1f} ± {:.1f}".format(*of_known(step)) for step in steps[:, :4].T]
+    changes += ["{:+.2f} ± {:.2f}".format(*of_known(step)) for step in steps[:, 4:].T]
+    on_text = f"{100 * answered:.0f} % | {median:.2f} | {ninth:.2f} | {100 * inside:.0f} % | {sharpness:.2f}"
+    return f"| {name} | {flight} | {on_text} | {worst:.1f} | {' | '.join(changes)} | {on[1]:.1f} -> {off[1]:.1f} |"
 
 
 def compared(

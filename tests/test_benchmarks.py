@@ -365,7 +365,7 @@ def test_a_difference_counts_once_it_exceeds_the_scatter_of_its_draws() -> None:
     assert len(cells) == 2 + len(ablation.COLUMNS) + len(ablation.FIGURES) + 1
 
 
-def test_draws_that_answer_nothing_with_or_without_a_mechanism_count_only_by_what_is_answered() -> None:
+def test_draws_that_answer_nothing_are_neither_wrong_nor_near() -> None:
     on = np.tile([0.9, 4.0, 9.0, 0.9, 1.0, 1.2], (6, 1))
     on[0] = [0.0, *[np.nan] * 5]
     off = on + np.where(np.isfinite(on), [0.0, 0.5, 0.0, 0.0, 0.0, 0.0], 0.0)
@@ -377,6 +377,13 @@ def test_draws_that_answer_nothing_with_or_without_a_mechanism_count_only_by_wha
     off[:] = [0.0, *[np.nan] * 5]
     worse, better = ablation.change("a", on[1:], off[1:])
     assert [text.split(" ")[1] for text in worse] == ["answered"]
+    # Nor is an answer right because with the mechanism there is none.
+    worse, better = ablation.change("a", off[1:], off[1:] + [0.5, 0.0, 0.0, 0.0, 0.0, 0.0])
+    assert not worse
+    wrong = np.tile([0.5, 40.0, 90.0, 0.1, 3.0, 5.0], (5, 1)) + 0.01 * np.arange(5.0)[:, None]
+    worse, better = ablation.change("a", off[1:], wrong)
+    assert [text.split(" ")[1] for text in worse] == ["inside", "sharpness"]
+    assert [text.split(" ")[1] for text in better] == ["answered"]
 
 
 def test_a_mechanism_that_shows_nothing_is_compared_again_with_more_draws_of_its_own_flights(
