@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 
 import numpy as np
@@ -111,11 +111,6 @@ def of_known(changes: Array) -> tuple[float, float]:
     return mean_and_sigma(known) if len(known) > 1 else (float("nan"), float("nan"))
 
 
-def interval(changes: Array) -> float:
-    """Half of the 95 % interval of the mean of so many changes (N,) as are known, in standard errors."""
-    return float(student.ppf(0.975, max(np.count_nonzero(np.isfinite(changes)) - 1, 1)))
-
-
 def _judged(f: Array) -> Array:
     """(N, 6) how bad figures (N, 6) are: coverage and sharpness by how far from right, whichever way."""
     off_right = np.abs(np.log2(np.maximum(f[:, 4], 1e-3)))
@@ -128,8 +123,11 @@ def change(name: str, on: Array, off: Array) -> tuple[list[str], list[str]]:
     better: list[str] = []
     judged, steps = _judged(off) - _judged(refused_as_right(on)), differences(on, off)
     for figure, unit, bad, step in zip(FIGURES, UNITS, judged.T, steps.T, strict=True):
-        mean, error = of_known(bad)
-        if abs(mean) > max(interval(bad) * error, 1e-9):  # of nan: no
+        known = bad[np.isfinite(bad)]
+        if len(known) < 2:
+            continue
+        mean, error = mean_and_sigma(known)
+        if abs(mean) > max(float(student.ppf(0.975, len(known) - 1)) * error, 1e-9):
             changed, least = of_known(step)
             text = f"{name}: {figure} {changed:+.2g} ± {least:.1g}{unit}"
             (worse if mean > 0.0 else better).append(text)
@@ -167,18 +165,18 @@ def compared(
 
 def table(
     mechanisms: Sequence[Mechanism],
-    trials: Callable[[Mechanism], Sequence[Trial]],
+    trials: Mapping[str, Sequence[Trial]],
     draws: int,
     known: dict[tuple[str, str], list[Score]],
 ) -> list[Mechanism]:
-    """Print the rows of some mechanisms, and what they show; those without which nothing is worse."""
+    """Print the rows of some mechanisms, by name on these flights, and what they show; those that show nothing."""
     columns = " | ".join([*COLUMNS, *(f"change of {f}" for f in FIGURES)])
     print(f"| mechanism off | flight | {columns} | processor s |\n|---|---|{'---:|' * 13}", flush=True)
-    verdicts = [compared(mechanism, trials(mechanism), draws, known) for mechanism in mechanisms]
+    verdicts = [compared(m, trials[m.name], draws, known) for m in mechanisms]
     print("\n| mechanism | off means | worse without it | better without it |\n|---|---|---|---|")
     for m, (worse, better) in zip(mechanisms, verdicts, strict=True):
         print(f"| {m.name} | {m.neutral} | {'; '.join(worse) or 'nothing'} | {'; '.join(better) or 'nothing'} |")
-    return [mechanism for mechanism, (worse, _) in zip(mechanisms, verdicts, strict=True) if not worse]
+    return [m for m, (worse, _) in zip(mechanisms, verdicts, strict=True) if not worse]
 
 
 def main() -> None:
@@ -200,10 +198,10 @@ def main() -> None:
     ordinary = ORDINARY if "ordinary" in kinds else ()
     own_of = {m.name: by_mechanism[m.name] if "own" in kinds else () for m in chosen}
     known: dict[tuple[str, str], list[Score]] = {}
-    idle = table(chosen, lambda m: own_of[m.name] + ordinary, args.draws, known)
+    idle = table(chosen, {name: trials + ordinary for name, trials in own_of.items()}, args.draws, known)
     if idle and args.again > args.draws and "own" in kinds:
         print(f"\nThose that show nothing, on the flights that they exist for, {args.again} draws.\n")
-        idle = table(idle, lambda m: own_of[m.name], args.again, known)
+        idle = table(idle, own_of, args.again, known)
     shown = ", ".join(m.name for m in idle) or "none"
     print(f"\nShows nothing: {shown}. Processor time of all: {time.process_time() - began:.0f} s")
 
