@@ -60,6 +60,12 @@ BENCHMARKS = (
         ("--recordings", "plane_clean", "--seconds", "40", "--faults", "hills"),
     ),
     Benchmark(
+        "autopilots",
+        "With recorded autopilots over steep ground",
+        (*RECORDED[:3], "120", "--seed", "3", "--draws", "3", "--sensors", "gps", "--faults", "rough,hill country"),
+        ("--recordings", "plane_clean", "--seconds", "40", "--sensors", "gps", "--faults", "rough"),
+    ),
+    Benchmark(
         "ablation",
         "What each mechanism buys",
         (),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from benchmarks.sampled_flight import Hills, Valley
+from benchmarks.sampled_flight import HillCountry, Hills, Valley
 from benchmarks.sensor_faults import EVERY_MINUTE
 from contract.camera import UNKNOWN_SIGMA, Camera
 from onboard.config.schema import NETWORK_PRIOR_S
@@ -43,6 +43,9 @@ FAULTS: dict[str, dict[str, Any]] = {
     "slope-4": {"slope_deg": 4.0, "rises_towards_deg": 300.0},
     "valley": {"slope_deg": 9.8, "rises_towards_deg": 36.9, "ground": Valley},
     "hills": {"ground": Hills},
+    # Steeper than declared: short hills of 6 m on these, and hills of all lengths.
+    "rough": {"ground": Hills, "relief_sigma_m": 6.0},
+    "hill country": {"ground": HillCountry},
     **{name: {"disturbances": every} for name, every in EVERY_MINUTE.items()},
 }
 

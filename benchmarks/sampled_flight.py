@@ -47,6 +47,7 @@ FILTER_STEP_S = 0.02
 POSITION_HZ, ATTITUDE_HZ, QUALITY_HZ = 10.0, 20.0, 2.0
 WAVES = 16
 HILLS_LENGTH_M, HILLS_M = 1000.0, 12.0
+COUNTRY_LENGTHS_M, COUNTRY_POWER, COUNTRY_M, COUNTRY_WAVES = (20.0, 2000.0), 0.8, 25.0, 200
 TERRAIN_NODE_M = 20.0
 GYRO_STEP_S = 0.01
 LEAST_SEEN = 6  # features, below which no motion can be determined
@@ -122,6 +123,31 @@ class Hills(Ground):
     def height_m(self, xy: Array) -> Array:
         """Heights of places (..., 2)."""
         out: Array = super().height_m(xy) + self._hills.height_m(xy) - self._home_m
+        return out
+
+
+class HillCountry(Ground):
+    """Waves of all lengths from 20 m to 2 km, as high as the 0.8th power of their length; the origin is at height 0.
+
+    Over 100 m it slopes by one sigma of 8 degrees east and north, over 300 m by 5: more than twice what
+    `solve.level_ground_sigma_deg` declares. Such powers, of 0.7 to 0.9, are what terrain has at these lengths.
+    """
+
+    def __init__(self, rng: np.random.Generator, slope: Array, sigma_m: float, wavelength_m: float) -> None:
+        super().__init__(rng, slope, sigma_m, wavelength_m)
+        shortest, longest = np.log(COUNTRY_LENGTHS_M)
+        length = np.exp(rng.uniform(shortest, longest, COUNTRY_WAVES))
+        bearing = rng.uniform(0.0, 2.0 * np.pi, COUNTRY_WAVES)
+        self._hills = 2.0 * np.pi / length[:, None] * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
+        self._hills_phase = rng.uniform(0.0, 2.0 * np.pi, COUNTRY_WAVES)
+        height = length**COUNTRY_POWER
+        self._hills_m = COUNTRY_M * height / np.sqrt(0.5 * np.sum(height**2))
+        self._home_m = np.sum(self._hills_m * np.sin(self._hills_phase))
+
+    def height_m(self, xy: Array) -> Array:
+        """Heights of places (..., 2)."""
+        hills = np.sin(xy @ self._hills.T + self._hills_phase) @ self._hills_m
+        out: Array = super().height_m(xy) + hills - self._home_m
         return out
 
 

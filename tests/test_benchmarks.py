@@ -28,7 +28,7 @@ from benchmarks import (
 )
 from benchmarks.__main__ import BENCHMARKS, RESULTS, STARTED, Benchmark, measured, merge, section
 from benchmarks.mechanisms import MECHANISMS
-from benchmarks.sampled_flight import Hills
+from benchmarks.sampled_flight import Ground, HillCountry, Hills
 from benchmarks.short_flight import Leg, leg, out_and_back, sets_of
 from benchmarks.source_codecs import MOUNT_ANGLES, mean_with_sigma, misstated, recoded, simulated_by
 from benchmarks.sources import flight_spec
@@ -324,15 +324,20 @@ def test_every_mechanism_can_be_switched_off_and_is_on_again() -> None:
         assert [getattr(owner, name) for owner, name, _ in mechanism.replacements] == before
 
 
-def test_hills_slope_by_what_the_configuration_declares_and_leave_home_at_its_height() -> None:
+@pytest.mark.parametrize(("kind", "over_m", "in_deg"), [(Hills, 10.0, 3.5), (HillCountry, 100.0, 8.0)])
+def test_hills_slope_by_as_much_as_they_state_and_leave_home_at_its_height(
+    kind: type[Ground], over_m: float, in_deg: float
+) -> None:
+    """Hills by what the configuration declares, hill country by more than twice as much."""
     places = np.random.default_rng(1).uniform(-3000.0, 3000.0, (400, 2))
     slopes = []
     for seed in range(20):
-        ground = Hills(np.random.default_rng(seed), np.zeros(2), 0.0, 200.0)
-        assert ground.height_m(np.zeros(2)) == 0.0
-        slopes.append([(ground.height_m(places + d) - ground.height_m(places - d)) / 10.0 for d in 5.0 * np.eye(2)])
-    declared = np.tan(np.radians(parse_config("").solve.level_ground_sigma_deg))
-    assert np.std(slopes) == pytest.approx(declared, rel=0.1)
+        ground = kind(np.random.default_rng(seed), np.zeros(2), 0.0, 200.0)
+        assert ground.height_m(np.zeros(2)) == pytest.approx(0.0, abs=1e-9)
+        apart = 0.5 * over_m * np.eye(2)
+        slopes.append([(ground.height_m(places + d) - ground.height_m(places - d)) / over_m for d in apart])
+    assert np.std(slopes) == pytest.approx(np.tan(np.radians(in_deg)), rel=0.1)
+    assert parse_config("").solve.level_ground_sigma_deg == 3.5
 
 
 @pytest.mark.long

@@ -20,7 +20,8 @@ from onboard.estimation.platform_states import BORESIGHT
 
 Array = NDArray[np.float64]
 
-LENGTHS_M = (300.0, 1000.0, 3000.0, 10000.0)  # over which slopes may be correlated, all equally likely beforehand
+# Over which slopes may be correlated, all equally likely beforehand.
+LENGTHS_M = (30.0, 100.0, 300.0, 1000.0, 3000.0, 10000.0)
 PRIOR_COUNT = 2.0  # slopes of the declared size, assumed before any has been seen
 MEMORY = 24  # windows
 NO_SLOPE_PRIOR = 3.0  # one sigma of a slope of which nothing is assumed (72 deg)
@@ -44,12 +45,17 @@ class SlopePrior:
 
 @dataclass(frozen=True, eq=False)
 class SlopeSeen:
-    """What one window alone says of the slope (2,) at a place (2,), ENU, with covariance (2, 2)."""
+    """What one window alone says of the slope (2,) at a place (2,), ENU, with covariance (2, 2).
+
+    And of the slopes (C, 2) of patches of its ground, with covariances (C, 2, 2).
+    """
 
     end_ns: int
     place_enu_m: Array
     slope: Array
     covariance: Array
+    patches: Array
+    patch_covariance: Array
 
 
 class GroundSlope:
@@ -59,10 +65,12 @@ class GroundSlope:
         """`sigma`: one sigma of a slope (its tangent) at a place of which nothing is known, and the least."""
         self.sigma = sigma
         self._seen: list[SlopeSeen] = []
+        self.newest: SlopeSeen | None = None  # of the newest solved window, however short: how much slopes vary here
 
     def forget(self) -> None:
         """Places have another origin from now on."""
         self._seen.clear()
+        self.newest = None
 
     def offer(self, start_ns: int, seen: SlopeSeen) -> bool:
         """Keep what a solved window saw, if it began (`start_ns`) after the one before ended; whether it did."""
@@ -75,8 +83,9 @@ class GroundSlope:
     def prior_for(self, start_ns: int, place_enu_m: Array) -> SlopePrior:
         """For a window that begins at `start_ns` near a place (2,): by windows that ended before. (14.2) to (14.4)"""
         seen = [s for s in self._seen if s.end_ns < start_ns]
+        variance = self._variance(seen)
         if not seen:
-            return SlopePrior(np.zeros(2), self.sigma**2 * np.eye(2))
+            return SlopePrior(np.zeros(2), variance * np.eye(2))
         slopes = np.concatenate([s.slope for s in seen])
         noise = block_diag(*(s.covariance for s in seen))
         places = np.stack([s.place_enu_m for s in seen])
@@ -84,30 +93,37 @@ class GroundSlope:
         away_m = np.linalg.norm(places - place_enu_m, axis=1)
         logs, means, covariances = [], [], []
         for length_m in LENGTHS_M:
-            correlation = self.sigma**2 * np.kron(np.exp(-apart_m / length_m), np.eye(2))
-            scale = _scale(correlation, noise, slopes)
-            total = scale * correlation + noise
-            factor = np.linalg.cholesky(total)
-            to_here = scale * self.sigma**2 * np.kron(np.exp(-away_m / length_m)[:, None], np.eye(2))
+            factor = np.linalg.cholesky(variance * np.kron(np.exp(-apart_m / length_m), np.eye(2)) + noise)
+            to_here = variance * np.kron(np.exp(-away_m / length_m)[:, None], np.eye(2))
             half = np.linalg.solve(factor, np.column_stack([slopes, to_here]))
             logs.append(-0.5 * half[:, 0] @ half[:, 0] - np.log(np.diag(factor)).sum())
             means.append(half[:, 1:].T @ half[:, 0])
-            covariances.append(scale * self.sigma**2 * np.eye(2) - half[:, 1:].T @ half[:, 1:])
+            covariances.append(variance * np.eye(2) - half[:, 1:].T @ half[:, 1:])
         weight = softmax(logs)
         mean = weight @ np.stack(means)
         between = np.stack(means) - mean
         each = np.stack(covariances) + between[:, :, None] * between[:, None]
         return SlopePrior(mean, np.einsum("l,lij->ij", weight, each))
 
+    def _variance(self, ended: list[SlopeSeen]) -> float:
+        """Of a slope: as patches of windows that have `ended`, and of the newest, ask for; at least the declared."""
+        seen = ended if self.newest is None or self.newest in ended else [*ended, self.newest]
+        declared = self.sigma**2
+        if not seen:
+            return declared
+        return declared * _scale(
+            np.concatenate([s.patches for s in seen]) / self.sigma,
+            np.concatenate([s.patch_covariance for s in seen]) / declared,
+        )
 
-def _scale(correlation: Array, noise: Array, slopes: Array) -> float:
-    """The factor on the variance of slopes that the slopes seen ask for, at least 1. Equation (14.3), as (13.2)."""
+
+def _scale(slopes: Array, noise: Array) -> float:
+    """The factor on a slope's variance by slopes (C, 2) with covariances (C, 2, 2), in declared sigmas. (14.3)"""
     scale = 1.0
     for _ in range(3):
-        inverse = np.linalg.inv(scale * correlation + noise)
-        weighted = inverse @ slopes
-        found = scale**2 * float(weighted @ correlation @ weighted)
-        expected = scale * float(np.sum(correlation * inverse))
+        inverse = np.linalg.inv(scale * np.eye(2) + noise)
+        found = scale**2 * float(np.sum(np.einsum("cij,cj->ci", inverse, slopes) ** 2))
+        expected = scale * float(np.trace(inverse, axis1=1, axis2=2).sum())
         scale = max((PRIOR_COUNT + found) / (PRIOR_COUNT + expected), 1.0)
     return scale
 

@@ -20,6 +20,7 @@ from onboard.estimation.boresight import Alignment, PlatformEstimate
 from onboard.estimation.camera_states import COUNT, corrected, readout_s, taken, without_readout
 from onboard.estimation.clock_profile import ClockProfile
 from onboard.estimation.factors import RATES
+from onboard.estimation.ground_patches import patch_slopes
 from onboard.estimation.ground_slope import GroundSlope, SlopeSeen, seen_alone
 from onboard.estimation.information import Information, with_marginal
 from onboard.estimation.keyframe import Keyframe, Observation, have_attitude, seen_with, stamp_sigma_s
@@ -237,10 +238,10 @@ class Window:
             self.memory = self.memory.after(found, outcome.agreed, outcome.solved is not None)
         if outcome.solved is not None:
             self.solved, self._solved_under = self.memory.windows[-1], self._request.platform
-            if len(self.keyframes) == self.config.solve.keyframes:
-                self._see_slope(outcome.solved)
-                if not outcome.noise.failing.fails_at(self.keyframes[-1].nav.stamp_ns):
-                    self.learn(outcome.solved, clock)  # a sensor that is wrong teaches nothing about mount and clock
+            self._see_slope(outcome.solved)
+            is_wrong = outcome.noise.failing.fails_at(self.keyframes[-1].nav.stamp_ns)  # what a sensor reports
+            if len(self.keyframes) == self.config.solve.keyframes and not is_wrong:
+                self.learn(outcome.solved, clock)  # a sensor that is wrong teaches nothing about mount and clock
             platform = outcome.solved.solution.state.platform
             self._times_s = float(platform[OFFSET]), float(platform[DELAY])
         self._see_with_estimate()
@@ -273,7 +274,11 @@ class Window:
         covariance = solved.variance_factor * covariance  # of (16.10): where a turn is known less, so is the slope
         shared = np.concatenate([state.platform, state.plane])
         slope, sigma2 = seen_alone(prior, shared, covariance[layout.shared, layout.shared])
-        self.ground_slope.offer(start_ns, SlopeSeen(end_ns, self._place_enu_m(), slope, sigma2))
+        steeper, noise = patch_slopes(state.points_enu_m, solved.solution.point_covariance[:, 2, 2])
+        seen = SlopeSeen(end_ns, self._place_enu_m(), slope, sigma2, slope + steeper, sigma2 + noise)
+        self.ground_slope.newest = seen
+        if len(self.keyframes) == self.config.solve.keyframes:
+            self.ground_slope.offer(start_ns, seen)
 
     def learn(self, solved: Solved, clock: ClockProfile | None = None) -> None:
         """Offer a solved window's boresight and time offset as a posterior update."""
