@@ -47,15 +47,14 @@ class SlopePrior:
 class SlopeSeen:
     """What one window alone says of the slope (2,) at a place (2,), ENU, with covariance (2, 2).
 
-    And of the slopes (C, 2) of patches of its ground, with covariances (C, 2, 2).
+    `variance`: of such a slope, by the variogram of its ground.
     """
 
     end_ns: int
     place_enu_m: Array
     slope: Array
     covariance: Array
-    patches: Array
-    patch_covariance: Array
+    variance: float
 
 
 class GroundSlope:
@@ -106,26 +105,16 @@ class GroundSlope:
         return SlopePrior(mean, np.einsum("l,lij->ij", weight, each))
 
     def _variance(self, ended: list[SlopeSeen]) -> float:
-        """Of a slope: as patches of windows that have `ended`, and of the newest, ask for; at least the declared."""
+        """Of a slope: as windows that have `ended`, and the newest, ask for; at least the declared. (14.3)"""
         seen = ended if self.newest is None or self.newest in ended else [*ended, self.newest]
-        declared = self.sigma**2
-        if not seen:
-            return declared
-        return declared * _scale(
-            np.concatenate([s.patches for s in seen]) / self.sigma,
-            np.concatenate([s.patch_covariance for s in seen]) / declared,
-        )
-
-
-def _scale(slopes: Array, noise: Array) -> float:
-    """The factor on a slope's variance by slopes (C, 2) with covariances (C, 2, 2), in declared sigmas. (14.3)"""
-    scale = 1.0
-    for _ in range(3):
-        inverse = np.linalg.inv(scale * np.eye(2) + noise)
-        found = scale**2 * float(np.sum(np.einsum("cij,cj->ci", inverse, slopes) ** 2))
-        expected = scale * float(np.trace(inverse, axis1=1, axis2=2).sum())
-        scale = max((PRIOR_COUNT + found) / (PRIOR_COUNT + expected), 1.0)
-    return scale
+        declared, scale = self.sigma**2, 1.0
+        found = np.array([s.variance for s in seen]) / declared
+        known = np.array([np.linalg.eigvalsh(s.covariance)[0] for s in seen]) / declared
+        for _ in range(3):
+            share = scale / (scale + known)
+            asked = PRIOR_COUNT + 2.0 * float(np.sum(share**2 * found))
+            scale = max(asked / (PRIOR_COUNT + 2.0 * float(np.sum(share))), 1.0)
+        return declared * scale
 
 
 def seen_alone(prior: SharedPrior, shared: Array, covariance: Array) -> tuple[Array, Array]:

@@ -20,8 +20,8 @@ from onboard.estimation.boresight import Alignment, PlatformEstimate
 from onboard.estimation.camera_states import COUNT, corrected, readout_s, taken, without_readout
 from onboard.estimation.clock_profile import ClockProfile
 from onboard.estimation.factors import RATES
-from onboard.estimation.ground_patches import patch_slopes
 from onboard.estimation.ground_slope import GroundSlope, SlopeSeen, seen_alone
+from onboard.estimation.ground_variogram import slope_variance
 from onboard.estimation.information import Information, with_marginal
 from onboard.estimation.keyframe import Keyframe, Observation, have_attitude, seen_with, stamp_sigma_s
 from onboard.estimation.moved_optics import MOVED
@@ -274,8 +274,10 @@ class Window:
         covariance = solved.variance_factor * covariance  # of (16.10): where a turn is known less, so is the slope
         shared = np.concatenate([state.platform, state.plane])
         slope, sigma2 = seen_alone(prior, shared, covariance[layout.shared, layout.shared])
-        steeper, noise = patch_slopes(state.points_enu_m, solved.solution.point_covariance[:, 2, 2])
-        seen = SlopeSeen(end_ns, self._place_enu_m(), slope, sigma2, slope + steeper, sigma2 + noise)
+        along = state.centres_enu_m[-1, :2] - state.centres_enu_m[0, :2]
+        good = solved.good
+        varies = slope_variance(state.points_enu_m[good], solved.solution.point_covariance[good, 2, 2], along)
+        seen = SlopeSeen(end_ns, self._place_enu_m(), slope, sigma2, varies)
         self.ground_slope.newest = seen
         if len(self.keyframes) == self.config.solve.keyframes:
             self.ground_slope.offer(start_ns, seen)

@@ -1,0 +1,79 @@
+"""How much the slope across a window's track varies, if ground varies across a track as it does along it.
+
+Along a straight track the ground's heights are seen, across it only the sum of slope and roll. The variogram of the
+heights along it gives the variance of any slope, without a model of the covariance. Section 14 of mathematics.md.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from onboard.geometry.linalg import solve_small
+from onboard.geometry.robust import OUTLIER_SIGMAS, irls, middle
+
+Array = NDArray[np.float64]
+
+MIN_POINTS = 12
+MOST_POINTS = 100  # whose pairs are compared
+FARTHEST = 3.0  # median distances from the middle; what is farther is left out
+STEEPEST_PAIR = np.tan(np.radians(30.0))  # of a pair's direction from the track's
+CLASSES = 12  # of distance
+MIN_PAIRS = 6  # of a class
+
+
+def slope_variance(points_enu_m: Array, variance_m2: Array, along: Array) -> float:
+    """Variance of the slope across a direction `along` (2,) of the plane through points (P, 3), noise left out. (14.3)
+
+    `variance_m2` (P,) of their heights. Zero where there are too few points.
+    """
+    known = np.flatnonzero(np.all(np.isfinite(points_enu_m), axis=1) & np.isfinite(variance_m2))
+    if len(known) < MIN_POINTS:
+        return 0.0
+    some = known[np.linspace(0, len(known) - 1, min(len(known), MOST_POINTS)).astype(np.intp)]
+    east, north = along / max(float(np.linalg.norm(along)), 1e-9)
+    from_middle = points_enu_m[some, :2] - np.median(points_enu_m[some, :2], axis=0)
+    places = from_middle @ np.array([[east, -north], [north, east]])
+    used = _belong(places, points_enu_m[some, 2])
+    places, height, noise = places[used], points_enu_m[some, 2][used], variance_m2[some][used]
+    rows = np.concatenate([np.ones((len(places), 1)), places], axis=1)
+    across: Array = np.linalg.pinv(rows)[2]
+    return max(-float(across @ _variogram(places, height, noise) @ across), 0.0)
+
+
+def _belong(places_m: Array, height_m: Array) -> NDArray[np.bool_]:
+    """Which points (P,) lie where the others do: no wrong track's."""
+    distance = np.linalg.norm(places_m, axis=1)
+    rows = np.concatenate([np.ones((len(places_m), 1)), places_m], axis=1)
+
+    def fit(weight: Array) -> tuple[Array, Array]:
+        weighted = (rows * weight[:, None]).T
+        N = weighted @ rows
+        N.flat[::4] += 1e-9 * N.trace()
+        plane = solve_small(N, weighted @ height_m)
+        return plane, height_m - rows @ plane
+
+    near = distance <= FARTHEST * middle(distance)
+    _, off = irls(fit, near.astype(float), lambda off: (off / max(3.0 * middle(np.abs(off[near])), 1e-6)) ** 2)
+    belong: NDArray[np.bool_] = near & (np.abs(off) <= OUTLIER_SIGMAS * 1.4826 * middle(np.abs(off[near])))
+    return belong
+
+
+def _variogram(places_m: Array, height_m: Array, noise_m2: Array) -> Array:
+    """Half the mean square of heights' differences (P, P) by distance, from pairs along the track. (14.3)
+
+    `places_m` (P, 2) along and across.
+    """
+    first, second = np.triu_indices(len(places_m), 1)
+    along, across = np.abs(places_m[first] - places_m[second]).T
+    apart_m = np.hypot(along, across)
+    farthest_m = max(float(apart_m.max()), 1e-9)
+    kind = np.minimum((apart_m / farthest_m * CLASSES).astype(np.int64), CLASSES - 1)
+    seen = across < STEEPEST_PAIR * along
+    count = np.bincount(kind[seen], minlength=CLASSES)
+    half_square = 0.5 * np.bincount(kind[seen], (height_m[first] - height_m[second])[seen] ** 2, CLASSES)
+    taken = count >= MIN_PAIRS
+    distance = np.concatenate([[0.0], (np.flatnonzero(taken) + 0.5) / CLASSES * farthest_m])
+    value = np.concatenate([[0.0], np.maximum(half_square[taken] / count[taken] - middle(noise_m2), 0.0)])
+    apart = np.linalg.norm(places_m[:, None] - places_m, axis=2)
+    return np.asarray(np.interp(apart, distance, value), float)
