@@ -31,10 +31,11 @@ def test_nine_of_ten_errors_lie_inside_their_ellipses_within_a_set_and_between_s
     def mean(kind: str) -> float:
         return float(np.concatenate([getattr(c, kind) for c in simulated]).mean()) / 2.0
 
-    # Errors of time are one draw a flight and act in the same way on every click of it: shares say little about the
-    # wide side, which the mean of squared errors over what was claimed holds, 1 if honest.
-    assert 0.76 < share("clicks") < 0.995
-    assert 0.6 < mean("clicks") < 1.4
+    # Errors of time and of the slope across are one draw a flight and act in the same way on every click of it: an
+    # honest nine of ten has all clicks of all sixteen inside once in five times. The wide side is held by the mean of
+    # squared errors over what was claimed, 1 if honest.
+    assert share("clicks") > 0.76
+    assert 0.65 < mean("clicks") < 1.4
     assert 0.82 < share("one_set") < 0.985
     assert 0.6 < mean("one_set") < 1.3
     assert 0.82 < share("two_near") < 0.998
