@@ -25,7 +25,7 @@ help:
 	@echo "make pytest  the tests alone (PYTEST_ARGS='-k click' to choose)"
 	@echo "make deb     Debian packages of the aircraft's side, into build/deb (ARCH=arm64 or amd64; docs/service.md)"
 	@echo "make fuzz    a million damaged sets, statuses and recordings for their readers (some minutes)"
-	@echo "make bench   every benchmark, into benchmarks/results.md (six hours; the real flight needs ../shared/data)"
+	@echo "make bench   every benchmark, into benchmarks/results.md (seven hours; the real flight needs ../shared/data)"
 	@echo "make install both programs for you: an environment in $(HOME_VENV), links in $(HOME_BIN) (EXTRAS=web,geo to choose)"
 	@echo "make uninstall  removes both again"
 	@echo "make venv    only set up $(VENV)"

@@ -89,7 +89,7 @@ class Ground:
     def __init__(self, rng: np.random.Generator, slope: Array, sigma_m: float, wavelength_m: float) -> None:
         bearing = rng.uniform(0.0, 2.0 * np.pi, WAVES)
         length = wavelength_m * rng.uniform(0.5, 1.5, WAVES)
-        self._wave = 2.0 * np.pi / length[:, None] * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
+        self._wave = _wave_numbers(length, bearing)
         self._phase = rng.uniform(0.0, 2.0 * np.pi, WAVES)
         self._amplitude = sigma_m * np.sqrt(2.0 / WAVES)
         self.slope = slope
@@ -138,7 +138,7 @@ class HillCountry(Ground):
         shortest, longest = np.log(COUNTRY_LENGTHS_M)
         length = np.exp(rng.uniform(shortest, longest, COUNTRY_WAVES))
         bearing = rng.uniform(0.0, 2.0 * np.pi, COUNTRY_WAVES)
-        self._hills = 2.0 * np.pi / length[:, None] * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
+        self._hills = _wave_numbers(length, bearing)
         self._hills_phase = rng.uniform(0.0, 2.0 * np.pi, COUNTRY_WAVES)
         height = length**COUNTRY_POWER
         self._hills_m = COUNTRY_M * height / np.sqrt(0.5 * np.sum(height**2))
@@ -159,6 +159,12 @@ class Valley(Ground):
         rise = xy @ self.slope
         rounded_m = 50.0 * float(np.hypot(*self.slope))
         return super().height_m(xy) - rise + np.hypot(rise, rounded_m) - rounded_m
+
+
+def _wave_numbers(length_m: Array, bearing_rad: Array) -> Array:
+    """Of waves of these lengths (N,) along these directions (N,): (N, 2), rad/m."""
+    out: Array = 2.0 * np.pi / length_m[:, None] * np.stack([np.cos(bearing_rad), np.sin(bearing_rad)], axis=1)
+    return out
 
 
 class SampledFlight:

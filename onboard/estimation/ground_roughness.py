@@ -14,6 +14,7 @@ from onboard.estimation.bundle_adjustment import Problem, Solution
 from onboard.estimation.factors import ground_plane
 from onboard.geometry.linalg import solve_small
 from onboard.geometry.robust import irls, middle
+from onboard.geometry.sampling import evenly
 
 Array = NDArray[np.float64]
 
@@ -122,7 +123,7 @@ def effective_sigma_m(offset_m: Array, height_m: Array, variance_m2: Array, clea
     """
     if len(height_m) < 8 or not clearance_m > 0.0:
         return 0.0
-    some = np.linspace(0, len(height_m) - 1, min(len(height_m), MOST_POINTS)).astype(int)
+    some = evenly(len(height_m), MOST_POINTS)
     H = np.concatenate([np.ones((len(some), 1)), offset_m[some] / clearance_m], axis=1)
     value, noise = height_m[some] / clearance_m, variance_m2[some] / clearance_m**2
     weighted = (H / (noise + max(middle(np.abs(value - middle(value))), 1e-4) ** 2)[:, None]).T

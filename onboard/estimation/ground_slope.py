@@ -109,7 +109,7 @@ class GroundSlope:
         seen = ended if self.newest is None or self.newest in ended else [*ended, self.newest]
         declared, scale = self.sigma**2, 1.0
         found = np.array([s.variance for s in seen]) / declared
-        known = np.array([np.linalg.eigvalsh(s.covariance)[0] for s in seen]) / declared
+        known = np.linalg.eigvalsh(np.reshape([s.covariance for s in seen], (-1, 2, 2)))[:, 0] / declared
         for _ in range(3):
             share = scale / (scale + known)
             asked = PRIOR_COUNT + 2.0 * float(np.sum(share**2 * found))

@@ -9,8 +9,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.geometry.linalg import solve_small
-from onboard.geometry.robust import OUTLIER_SIGMAS, irls, middle
+from contract.kriging import distances
+from onboard.geometry.plane_fit import fit_plane
+from onboard.geometry.robust import OUTLIER_SIGMAS, middle
+from onboard.geometry.sampling import evenly
 
 Array = NDArray[np.float64]
 
@@ -30,32 +32,22 @@ def slope_variance(points_enu_m: Array, variance_m2: Array, along: Array) -> flo
     known = np.flatnonzero(np.all(np.isfinite(points_enu_m), axis=1) & np.isfinite(variance_m2))
     if len(known) < MIN_POINTS:
         return 0.0
-    some = known[np.linspace(0, len(known) - 1, min(len(known), MOST_POINTS)).astype(np.intp)]
+    some = known[evenly(len(known), MOST_POINTS)]
     east, north = along / max(float(np.linalg.norm(along)), 1e-9)
     from_middle = points_enu_m[some, :2] - np.median(points_enu_m[some, :2], axis=0)
-    places = from_middle @ np.array([[east, -north], [north, east]])
-    used = _belong(places, points_enu_m[some, 2])
-    places, height, noise = places[used], points_enu_m[some, 2][used], variance_m2[some][used]
-    rows = np.concatenate([np.ones((len(places), 1)), places], axis=1)
+    places, height = from_middle @ np.array([[east, -north], [north, east]]), points_enu_m[some, 2]
+    used = _belong(places, height)
+    rows = np.concatenate([np.ones((np.count_nonzero(used), 1)), places[used]], axis=1)
     across: Array = np.linalg.pinv(rows)[2]
-    return max(-float(across @ _variogram(places, height, noise) @ across), 0.0)
+    return max(-float(across @ _variogram(places[used], height[used], variance_m2[some][used]) @ across), 0.0)
 
 
 def _belong(places_m: Array, height_m: Array) -> NDArray[np.bool_]:
     """Which points (P,) lie where the others do: no wrong track's."""
     distance = np.linalg.norm(places_m, axis=1)
-    rows = np.concatenate([np.ones((len(places_m), 1)), places_m], axis=1)
-
-    def fit(weight: Array) -> tuple[Array, Array]:
-        weighted = (rows * weight[:, None]).T
-        N = weighted @ rows
-        N.flat[::4] += 1e-9 * N.trace()
-        plane = solve_small(N, weighted @ height_m)
-        return plane, height_m - rows @ plane
-
     near = distance <= FARTHEST * middle(distance)
-    _, off = irls(fit, near.astype(float), lambda off: (off / max(3.0 * middle(np.abs(off[near])), 1e-6)) ** 2)
-    belong: NDArray[np.bool_] = near & (np.abs(off) <= OUTLIER_SIGMAS * 1.4826 * middle(np.abs(off[near])))
+    plane, spread_m = fit_plane(np.column_stack([places_m, height_m])[near])
+    belong: NDArray[np.bool_] = near & (np.abs(height_m - plane[0] - places_m @ plane[1:]) <= OUTLIER_SIGMAS * spread_m)
     return belong
 
 
@@ -64,16 +56,15 @@ def _variogram(places_m: Array, height_m: Array, noise_m2: Array) -> Array:
 
     `places_m` (P, 2) along and across.
     """
+    apart_m = distances(places_m, places_m)
+    farthest_m = max(float(apart_m.max()), 1e-9)
     first, second = np.triu_indices(len(places_m), 1)
     along, across = np.abs(places_m[first] - places_m[second]).T
-    apart_m = np.hypot(along, across)
-    farthest_m = max(float(apart_m.max()), 1e-9)
-    kind = np.minimum((apart_m / farthest_m * CLASSES).astype(np.int64), CLASSES - 1)
+    kind = np.minimum((apart_m[first, second] / farthest_m * CLASSES).astype(np.int64), CLASSES - 1)
     seen = across < STEEPEST_PAIR * along
     count = np.bincount(kind[seen], minlength=CLASSES)
     half_square = 0.5 * np.bincount(kind[seen], (height_m[first] - height_m[second])[seen] ** 2, CLASSES)
     taken = count >= MIN_PAIRS
     distance = np.concatenate([[0.0], (np.flatnonzero(taken) + 0.5) / CLASSES * farthest_m])
     value = np.concatenate([[0.0], np.maximum(half_square[taken] / count[taken] - middle(noise_m2), 0.0)])
-    apart = np.linalg.norm(places_m[:, None] - places_m, axis=2)
-    return np.asarray(np.interp(apart, distance, value), float)
+    return np.asarray(np.interp(apart_m, distance, value), float)

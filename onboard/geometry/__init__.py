@@ -9,6 +9,7 @@ Public:
 - `plane_homography`: `HomographyFit`, `Pose`, `fit_homography`, `move`, `pixel_grid`, `predict_homography`,
   `predict_pixels`
 - `robust`: `middle`, `robust_cost`, `cauchy_weight`, `irls`, `median_chi2`, `OUTLIER_SIGMAS`, `IMPOSSIBLE_SIGMAS`
+- `sampling`: `evenly`
 - `terrain_grid`: `Terrain`
 - `triangulation`: `on_plane`, `triangulate`
 """

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from contract.feature_set import FeatureSet
 from onboard.estimation.solved_window import Solved
+from onboard.geometry.sampling import evenly
 from onboard.georeferencing.feature_sets import Placed
 
 Array = NDArray[np.float64]
@@ -52,7 +53,7 @@ def are_same(before: Solved, now: Solved) -> bool:
     one, other = before.common(now)
     if not len(one):
         return False
-    some = np.linspace(0, len(one) - 1, min(MOST_POINTS, len(one))).astype(np.intp)
+    some = evenly(len(one), MOST_POINTS)
     one, other = one[some], other[some]
     moved_m = now.solution.state.points_enu_m[other] - before.solution.state.points_enu_m[one]
     moved_m = np.stack([np.hypot(moved_m[:, 0], moved_m[:, 1]), np.abs(moved_m[:, 2])])
@@ -64,7 +65,7 @@ def are_same(before: Solved, now: Solved) -> bool:
 
 def _least_radius_m(solved: Solved) -> float:
     rows = np.flatnonzero(solved.good)
-    some = rows[np.linspace(0, len(rows) - 1, min(MOST_POINTS, len(rows))).astype(np.intp)]
+    some = rows[evenly(len(rows), MOST_POINTS)]
     return float(_reaches_m(solved, some, solved.keyframes[-1].nav.stamp_ns)[0].min())
 
 

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from onboard.geometry.sampling import evenly
 from onboard.vision.contrast_normalisation import Picture
 
 Array = NDArray[np.float64]
@@ -33,7 +34,7 @@ def repetition_px(picture: Picture, uv_px: Array) -> float | None:
     at = at[inside]
     if len(at) < MIN_SAMPLE:
         return None
-    at = at[np.linspace(0, len(at) - 1, min(SAMPLE, len(at))).astype(np.intp)]
+    at = at[evenly(len(at), SAMPLE)]
     twins = [twin for u, v in at if (twin := _twin_px(half[v - margin : v + margin + 1, u - margin : u + margin + 1]))]
     return 2.0 * float(np.median(twins)) if len(twins) >= SHARE * len(at) else None
 

@@ -48,7 +48,7 @@ def test_climbs_and_steep_banks_over_hills_stay_within_two_ellipses(
 @pytest.mark.long
 @pytest.mark.usefixtures("shared_data")
 def test_camera_and_gps_claim_as_much_as_they_know_over_ground_steeper_than_declared() -> None:
-    """Short hills of 6 m; before (14.3) counted patches 77 and 63 % were inside, sharpness 1.13 and 1.30."""
+    """Short hills of 6 m; before (14.3) was by the variogram 77 and 63 % were inside, sharpness 1.13 and 1.30."""
     scores = [score_of(name, "gps", draw, "rough", 120.0) for name in ("copter_survey", "quad") for draw in (0, 1)]
     ratio = np.concatenate([s.ratio for s in scores])
     assert len(ratio) > 0.55 * sum(s.asked["all"] for s in scores)
