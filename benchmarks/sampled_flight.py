@@ -142,7 +142,7 @@ class HillCountry(Ground):
         self._hills_phase = rng.uniform(0.0, 2.0 * np.pi, COUNTRY_WAVES)
         height = length**COUNTRY_POWER
         self._hills_m = COUNTRY_M * height / np.sqrt(0.5 * np.sum(height**2))
-        self._home_m = np.sum(self._hills_m * np.sin(self._hills_phase))
+        self._home_m = np.sin(self._hills_phase) @ self._hills_m
 
     def height_m(self, xy: Array) -> Array:
         """Heights of places (..., 2)."""
