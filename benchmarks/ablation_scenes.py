@@ -213,6 +213,7 @@ def own() -> dict[str, tuple[Trial, ...]]:
     late = recorded("plane_wind_noise", fault="late", seconds=ORDINARY_SECONDS)
     climb, quadplane = sampled("climb, camera + GPS", config=GPS_ONLY, path=CLIMB), recorded("qp_transition", "gps")
     steep_climb = sampled("steep climb, camera + GPS", config=GPS_ONLY, path=replace(CLIMB, speed_m_s=1.0))
+    steep_hills = sampled("steep hills, camera + GPS", config=GPS_ONLY, relief_sigma_m=20.0, relief_wavelength_m=150.0)
     # A mount is chosen once, in the first seconds.
     gimbal = replace(sampled("gimbal, photographs", GimbalFlight, rate_hz=0.7, path=SURVEY, seconds=25.0), warm_s=0.0)
     return {
@@ -239,12 +240,17 @@ def own() -> dict[str, tuple[Trial, ...]]:
         ),
         "sensor groups": (recorded("plane_clean", fault="tilt-jump"),),
         "ground slope": tuple(recorded("plane_clean", sensors, fault="slope") for sensors in ("full", "gps")),
+        "slope variogram": (
+            steep_hills,
+            recorded("plane_clean", "gps", fault="rough"),
+            recorded("plane_breeze", "gps", fault="hill country"),
+        ),
         "wrong tracks": (sampled("hover, a tenth of the tracks wrong", **WRONG_TRACKS),),
         "ground roughness": (sampled("hills of 12 m", path=TURNS, relief_sigma_m=12.0, relief_wavelength_m=80.0),),
         "ground weight": (
             sampled("hills of 8 m, long", path=PathSpec(), relief_sigma_m=8.0, relief_wavelength_m=400.0),
             sampled("hills of 20 m, camera + GPS", config=GPS_ONLY, relief_sigma_m=20.0, relief_wavelength_m=400.0),
-            sampled("steep hills, camera + GPS", config=GPS_ONLY, relief_sigma_m=20.0, relief_wavelength_m=150.0),
+            steep_hills,
         ),
         "second start": (
             recorded("plane_log", "gps"),

@@ -21,6 +21,7 @@ from onboard.estimation import (
     ground_slope,
     moved_optics,
     row_waves,
+    sliding_window,
     variance_components,
     window_acceptance,
     window_solver,
@@ -139,6 +140,11 @@ MECHANISMS = (
         "ground slope",
         "level ground of the configured sigma everywhere",
         ((ground_slope.GroundSlope, "prior_for", _level),),
+    ),
+    Mechanism(
+        "slope variogram",
+        "slopes vary as declared, whatever the heights along the track show, (14.3)",
+        ((sliding_window, "slope_variance", gives(0.0)),),
     ),
     Mechanism(
         "ground roughness",
