@@ -2,7 +2,7 @@
 
 Every window solve estimates them against a prior, the newest posterior that ended before the window began. Posteriors
 are kept only from windows so far apart that they share neither data nor the autopilot's attitude error, (10.2), which
-is correlated over tens of seconds. Windows that disagree with each other by more than their covariances say count for
+is correlated over tens of seconds. Windows that disagree with each other by more than their covariances allow count for
 less, (6.13). Section 10 of docs/mathematics.md.
 """
 
@@ -31,7 +31,7 @@ MEMORY_ESTIMATES = 8
 TOO_SURE = 2.0  # times the declared sigma that data may claim: they have unmodelled errors too
 AGREEMENT_PRIOR = 2.0  # windows that agree with their covariances, assumed before any has been seen
 ZOOM_REACH = 0.3  # of the focal length's logarithm, over which a zoom table's errors are correlated
-MIN_GAIN = 0.02  # of a variance: a window that says less of a state is no evidence on it
+MIN_GAIN = 0.02  # of a variance: a window that gains less on a state is no evidence on it
 LENS = slice(STATES, STATES + camera_states.COUNT)
 FOCAL_LENGTH = STATES + camera_states.FOCAL_LENGTH
 # Of the state directory, in the order of the states; older files lack those from the delays on.
@@ -207,7 +207,7 @@ class Alignment:
 
     @property
     def disagreement(self) -> Array:
-        """(B,) factor on one sigma by which windows differ more than their covariances say; 1 if they agree."""
+        """(B,) factor on one sigma by which windows differ more than their covariances allow; 1 if they agree."""
         mean_square = (AGREEMENT_PRIOR + self._squares) / (AGREEMENT_PRIOR + self._counts)
         return np.sqrt(np.maximum(mean_square, 1.0))[: len(self.platform.mean)]
 
@@ -217,18 +217,18 @@ class Alignment:
             return mean, covariance  # held against what was declared, not against another window: (6.12) weighs that
         count, known = len(mean), np.diag(before.covariance)
         weakened, gained = self._weakened[:count], known - np.diag(covariance)
-        tells = gained > MIN_GAIN * known
+        shown = gained > MIN_GAIN * known
         # By what the windows themselves claim: those before have been weakened already, where they disagreed.
         claimed = gained * (1.0 - gained / known * (1.0 - weakened**-2))
-        self._squares[:count][tells] += (mean - before.mean)[tells] ** 2 / claimed[tells]
-        self._counts[:count] += tells
+        self._squares[:count][shown] += (mean - before.mean)[shown] ** 2 / claimed[shown]
+        self._counts[:count] += shown
         disagreement = self.disagreement
         if np.all(disagreement == 1.0):
             return mean, covariance
         own = Information.gained(mean, covariance, before.mean, before.covariance)
-        # Along each direction that the window tells of, by how far windows disagree about what lies in it.
+        # Along each direction that the window shows, by how far windows disagree about what lies in it.
         apart = np.square(own.directions * before.sigma[:, None]).T @ np.square(disagreement)
-        # Which of two is the wrong one nothing says: those before have counted for too much by as much.
+        # Nothing shows which of two is the wrong one: those before have counted for too much by as much.
         most = np.maximum(self._estimates[0].sigma / before.sigma, 1.0)
         grown = np.clip(disagreement / weakened, 1.0, most)
         self._weakened[:count] = np.maximum(weakened, disagreement)

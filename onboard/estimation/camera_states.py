@@ -2,7 +2,7 @@
 
 Five states, each counted from the camera file: the focal length's relative error, the principal point's shift (in focal
 lengths, x and y), and what k1 and k2 are larger by, (15.1) and (15.2). A sixth, where it is not known for sure, is what
-the readout of the rows takes longer than `camera.readout_s` says (s), see `rolling_shutter`.
+the readout of the rows takes longer than `camera.readout_s` (s), see `rolling_shutter`.
 """
 
 from __future__ import annotations

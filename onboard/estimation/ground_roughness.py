@@ -118,7 +118,7 @@ def effective_sigma_m(offset_m: Array, height_m: Array, variance_m2: Array, clea
     """One sigma (m) to give each of P heights, as if independent, for their plane to be as sure of its slope as it is.
 
     Neighbours on a hill are off the plane together, so they carry less information. `offset_m` (P, 2) places about
-    their middle, `height_m` (P,) over any plane, `variance_m2` (P,) of their noise; `clearance_m`: height flown at.
+    their middle, `height_m` (P,) over any plane, `variance_m2` (P,) of their noise; `clearance_m`: height above ground.
     Equation (5.13).
     """
     if len(height_m) < 8 or not clearance_m > 0.0:

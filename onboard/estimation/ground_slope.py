@@ -45,7 +45,7 @@ class SlopePrior:
 
 @dataclass(frozen=True, eq=False)
 class SlopeSeen:
-    """What one window alone says of the slope (2,) at a place (2,), ENU, with covariance (2, 2).
+    """What one window alone shows of the slope (2,) at a place (2,), ENU, with covariance (2, 2).
 
     `variance`: of such a slope, by the variogram of its ground.
     """
@@ -118,7 +118,7 @@ class GroundSlope:
 
 
 def seen_alone(prior: SharedPrior, shared: Array, covariance: Array) -> tuple[Array, Array]:
-    """A window's own estimate of its ground's slope (2,) and covariance (2, 2), whatever the prior said. (14.1)
+    """A window's own estimate of its ground's slope (2,) and covariance (2, 2), whatever the prior was. (14.1)
 
     `shared` (S,) and `covariance` (S, S) are the posterior of the shared states, `prior` theirs. Nothing is assumed of
     the slope, and nothing of the mount, whose error would be taken for the slope across every straight track.

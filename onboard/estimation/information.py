@@ -1,7 +1,7 @@
 """What a window itself adds to what was known of some states: subtracted from a posterior, weakened, added to a prior.
 
 By independent directions in units of what was known: states' units differ by orders of magnitude, and what is rounding
-in one must not look like data in another. A direction of which the window says nothing is none.
+in one must not look like data in another. A direction on which the window has no information is none.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ class Information:
         scale, precision = np.sqrt(np.diag(known_covariance)), np.linalg.inv(covariance)
         beyond = (precision - np.linalg.inv(known_covariance)) * np.outer(scale, scale)
         values, basis = np.linalg.eigh(beyond)
-        tells = values > LEAST  # a posterior may have been widened after the solve: there it says nothing
-        basis = (basis / scale[:, None])[:, tells]
-        return cls(known, values[tells], basis, (basis * np.square(scale)[:, None]).T @ (precision @ (mean - known)))
+        kept = values > LEAST  # a posterior may have been widened after the solve: there it adds nothing
+        basis = (basis / scale[:, None])[:, kept]
+        return cls(known, values[kept], basis, (basis * np.square(scale)[:, None]).T @ (precision @ (mean - known)))
 
     def weakened(self, variance: Array) -> Information:
         """The same with the variance of each direction times so much (D,)."""

@@ -32,7 +32,7 @@ from onboard.navigation.limits import SURE_SIGMAS
 
 MOVED = (Status.STABILISED, Status.ZOOMED)
 MOVED_BY_CHANCE = 1e-9  # that chance makes as much of a hypothesis
-SET_ASIDE = 1e6  # on the variance of a sensor that is supposed to say nothing
+SET_ASIDE = 1e6  # on the variance of a sensor that is to count for nothing
 OPEN_LENS = {FOCAL_LENGTH: 0.3, K1: 0.1}  # one sigma of what all pictures share, under every hypothesis
 MAX_VARIANCE = 3.0  # of pixels, above which a hypothesis leaves too much to explain anything
 ATTITUDE = "attitude"

@@ -18,7 +18,7 @@ def fit_of(sigmas: Array, layout: Layout) -> float:
     """Robust one sigma per axis of whitened residual lengths (K, P): their median over what it should be. (6.11)
 
     Residuals are smaller than the noise by the degrees of freedom fitted: of a point seen twice, three out of four, and
-    by all the states of each picture that its own features tell. Infinite where no point is seen twice.
+    by all the states of each picture that its own features determine. Infinite where no point is seen twice.
     """
     known = np.isfinite(sigmas)
     seen = np.count_nonzero(known, axis=0)

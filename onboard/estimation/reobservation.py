@@ -1,8 +1,8 @@
 """The same ground points in two windows without a common picture: how true the stated relative errors are.
 
 Their places must agree within the covariance of their difference. What a window is off by as a whole is a shift, turn
-and scale of its patch of ground; these seven are compared, (16.1) to (16.3). Over a flight their normalised squares say
-by how much the published variances are too small: `RelativeVariance`, (16.4). Section 16 of docs/mathematics.md.
+and scale of its patch of ground; these seven are compared, (16.1) to (16.3). Over a flight their normalised squares
+show by how much the published variances are too small: `RelativeVariance`, (16.4). Section 16 of docs/mathematics.md.
 """
 
 from __future__ import annotations

@@ -45,7 +45,7 @@ class Moving:
         return shutter.image_velocity(xy, w) * share[:, None]
 
     def for_ground(self, R_cam_enu: Array, readout_s: float, sigma_readout_s: float) -> RollingShutter:
-        """What the set of this picture says of it. `sigma_readout_s`: beyond what its other errors hold."""
+        """What the set of this picture carries of it. `sigma_readout_s`: beyond what its other errors hold."""
         return RollingShutter(readout_s, self.rate_cam_rad_s, R_cam_enu @ self.velocity_enu_m_s, sigma_readout_s)
 
 

@@ -18,7 +18,7 @@ from onboard.navigation.limits import FALSE_ALARM
 
 Array = NDArray[np.float64]
 
-# Swings in the time of a readout: fewer are for poses and rates to follow, more than twenty no features tell apart.
+# Swings in the time of a readout: fewer are for poses and rates to follow, more than twenty no features distinguish.
 CYCLES = np.arange(2.0, 20.0, 0.125)
 ROWS = 256  # bands that a picture's rows are gathered into: thirteen to the shortest wave
 _PHASE = 2.0 * np.pi * CYCLES[:, None] * ((np.arange(ROWS) + 0.5) / ROWS - 0.5)

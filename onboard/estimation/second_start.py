@@ -2,8 +2,8 @@
 
 Least squares find the minimum next to their start, and a window that starts from the one before inherits its minimum.
 Without attitude there may be another one: a plane's pictures have a second motion, which a climb's positions do not
-tell from the first, and in a turn an aircraft may be upside down. What two minima are worth is the difference of one
-cost, under one noise, (16.8): each window's own noise has grown until its residuals fit.
+distinguish from the first, and in a turn an aircraft may be upside down. What two minima are worth is the difference
+of one cost, under one noise, (16.8): each window's own noise has grown until its residuals fit.
 
 Of a climb without attitude the valley along the heading is also wider than the cost's curvature at its minimum, which
 is the covariance, or has another bottom. So all views are held turned as one, at three sigmas either way and all round,

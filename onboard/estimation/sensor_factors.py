@@ -121,7 +121,7 @@ class Sensors:
         """Whiteners (3, n, n) of a residual's errors and their estimated parts, (5.5), axis by axis.
 
         Given are, for each axis, the sensor, the two parts of its covariance (n, n) as declared, and what else it has.
-        Each part counts by its estimated variance; all of it by the sensor's group, which says nothing of its parts
+        Each part counts by its estimated variance; all of it by the sensor's group, which shows nothing of its parts
         while it fails.
         """
         whole, parts = [], []
@@ -219,7 +219,7 @@ def _velocity(m: Sensors) -> list[Prior]:
     white = np.diag(gps.sigma_velocity_m_s**2 * dt * np.minimum(dt, 1.0))
     slow_m = dt * velocity_sigma_m_s(m.config, m.keyframes)
     slow = np.outer(slow_m, slow_m) * gauss_markov_covariance(middle, 1.0, gps.velocity_correlation_time_s)
-    # An interval over a gap of the telemetry says nothing; those about it do.
+    # An interval over a gap of the telemetry shows nothing; those about it do.
     unknown = np.where(known, (m.jitter_s * np.hypot(speed[1:], speed[:-1])) ** 2, UNKNOWN_M**2)
     turning = _fading(middle, dt * np.maximum(m.dynamic_m_s[1:], m.dynamic_m_s[:-1]))
     fixed = between_covariance(displacement) + np.diag(unknown) + turning

@@ -2,7 +2,7 @@
 
 Variance components (`variance_components`) find errors that are larger than declared all along; a sensor that is
 suddenly wrong (a compass near metal, an attitude that jumps) is rare over minutes, and in its window it is everything.
-So each group of residuals is held against what all others say of it, its innovation. The group that contradicts them
+So each group of residuals is held against what all others make of it, its innovation. The group that contradicts them
 most counts with a variance that makes it consistent, in that window and, fading, in those after it.
 """
 
@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 # Share of a residual's variance that the fit leaves: where the others know a tenth of what the sensor knows, or less,
 # they do not contradict it, and what remains there is the solver's tolerance.
 LEAST_REDUNDANCY = 0.01
-LEFT_OUT = 9.0  # times the variance that makes a failing group consistent: what it says is not to be averaged with
+LEFT_OUT = 9.0  # times the variance that makes a failing group consistent: its values are not to be averaged with
 FADING_S = 20.0  # after its last failure, in which a group's added variance falls to a third
 FORGOTTEN = 1.5  # factor on a variance, below which a failure is over
 
@@ -77,7 +77,7 @@ def _limit(states: int, count: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Innovation:
-    """What one group says of a window beyond all the others, whitened by the group's own errors. Equation (13.3).
+    """What one group adds to a window beyond all the others, whitened by the group's own errors. Equation (13.3).
 
     `residual` (n,); `predicted` (n, n), the covariance that the others leave it; `constant` (n, m) a constant error of
     each of its m axes. `count`: effective measurements that the group's own variance is known by.

@@ -61,7 +61,7 @@ class Window:
         self.memory = Memory()
         self.refusal = ""  # why the newest window has no solution, in words; empty if it has one
         self.noise = Noise(config.solve.pixel_sigma_px, config.camera.sigma_jitter_s)
-        self.terrain: Terrain | None = None  # of the area flown over, if known
+        self.terrain: Terrain | None = None  # of the area below, if known
         self.alignment = Alignment(
             np.radians(mount.sigma_deg),
             config.camera.sigma_latency_s,
@@ -264,7 +264,7 @@ class Window:
         return self.adopt(adjust(self.prepare()))
 
     def _see_slope(self, solved: Solved) -> None:
-        """Keep what the window that `prepare` asked for alone says of the ground's slope."""
+        """Keep what the window that `prepare` asked for alone shows of the ground's slope."""
         request, layout = self._request, solved.layout
         if request.slope is None or request.terrain is not None:
             return  # over a terrain model the plane is what that is off by
@@ -294,7 +294,7 @@ class Window:
         solved_under = with_delays_held_open(self.config, self._solved_under)
         if RATES in solved.layout.blocks:
             mean, covariance = without_readout(mean, covariance, solved_under.mean, solved_under.covariance)
-        # What the window itself says is put upon the learned prior, which may be tighter: no delay held open.
+        # What the window itself shows is put upon the learned prior, which may be tighter: no delay held open.
         gained = Information.gained(mean, covariance, solved_under.mean, solved_under.covariance)
         mean, covariance = gained.upon(before.mean, before.covariance)
         if clock is not None and covariance[OFFSET, OFFSET] < clock.variance:

@@ -20,14 +20,14 @@ from onboard.estimation.sensor_table import CLAIMED
 
 Array = NDArray[np.float64]
 
-# Effective measurements that the configured sigma counts for: after so many of its own the flight has as much to say.
+# Effective measurements that the configured sigma counts for: after so many of its own the flight counts for as much.
 PRIOR_COUNT = 10.0
 MEMORY_S = 240.0  # over which what was seen is forgotten: compasses and winds change
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """What residuals say of each part: squares found, in configured variances, and how many were expected, (13.1)."""
+    """What residuals show of each part: squares found, in configured variances, and how many were expected, (13.1)."""
 
     found: Mapping[str, float] = field(default_factory=dict)
     expected: Mapping[str, float] = field(default_factory=dict)

@@ -34,7 +34,7 @@ MAX_GROUND_SLOPE = 1.0
 MIN_AHEAD = 0.9  # of the measurements: of points below the camera and in front of it
 MIN_DEPTH_SHARE = 0.05  # of the median depth: a point nearer than this is as good as behind the camera
 # Of a velocity that no residual of the window uses, slowly changing: recorded autopilots in turns (docs/telemetry.md).
-LASTING_VELOCITY_M_S = 1.5
+CORRELATED_VELOCITY_M_S = 1.5
 # Of chi-square with 7 degrees of freedom: exceeded once in 1e5 comparisons.
 MAX_AGREEMENT = 35.0
 REMEMBERED = 14  # windows: a few more than the keyframes of one, so that one without a common picture is among them
@@ -141,9 +141,9 @@ def _by_distance(config: Config, keyframes: Sequence[Keyframe], s: Solution, lay
     seconds = (keyframes[-1].nav.stamp_ns - keyframes[0].nav.stamp_ns) / 1e9
     first, *_, last = layout.centres()
     ends = np.eye(layout.size)[last] - np.eye(layout.size)[first]
-    lasting_m = max(LASTING_VELOCITY_M_S, velocity_sigma_m_s(config, keyframes)) * seconds
+    correlated_m = max(CORRELATED_VELOCITY_M_S, velocity_sigma_m_s(config, keyframes)) * seconds
     between_m2 = between_covariance(displacement).sum(axis=(1, 2))
-    covariance = ends @ s.covariance @ ends.T + np.eye(3) * lasting_m**2 + np.diag(between_m2)
+    covariance = ends @ s.covariance @ ends.T + np.eye(3) * correlated_m**2 + np.diag(between_m2)
     miss = by_pictures - by_velocity
     chi2 = float(miss @ np.linalg.solve(covariance, miss))
     if chi2 > IMPOSSIBLE_SIGMAS**2:
@@ -155,7 +155,7 @@ def _by_distance(config: Config, keyframes: Sequence[Keyframe], s: Solution, lay
 
 
 def by_memory(memory: Memory, agreed: Agreement | None) -> str | None:
-    """What earlier windows say against this one; None if nothing does."""
+    """What in earlier windows contradicts this one; None if nothing does."""
     most = MAX_AGREEMENT * memory.relative.factor
     if agreed is not None and agreed.chi2 > most:
         return (

@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 
 MIN_KEYFRAMES = 3
 FIRST_SCALE = 3.0  # of the loss (6.5) in sigmas, in the first of the two solves
-MIN_STRAY_M = 0.3  # least sigma of the ground about its plane, by the points themselves
+MIN_DEVIATION_M = 0.3  # least sigma of the ground about its plane, by the points themselves
 
 
 def approximate(problem: Problem, state: State, tolerance: float = 3e-4) -> Solution:
@@ -114,7 +114,7 @@ def _as_declared(config: Config) -> float:
 
 
 def from_request(request: Request) -> WindowProblem | Outcome:
-    """The window as requested; an outcome that says why there is none."""
+    """The window as requested; an outcome that states why there is none."""
     keyframes, noise, config = request.keyframes, request.noise, request.config
     if len(keyframes) < MIN_KEYFRAMES:
         return Outcome(Status.STARTING, keyframes, noise)
@@ -136,15 +136,15 @@ def from_request(request: Request) -> WindowProblem | Outcome:
     terrain = request.terrain
     if terrain is not None and np.all(np.isfinite(terrain.height_and_slope(points[:, :2])[0])):
         reference[2], plane, parallax = 0.0, np.zeros(3), None
-        hold, strays_m = 1.0 / config.terrain.sigma_m, config.terrain.sigma_m
+        hold, deviates_m = 1.0 / config.terrain.sigma_m, config.terrain.sigma_m
     else:
         above, _, _ = ground_plane(points, reference, plane)
         measured_m = 1.4826 * float(np.median(np.abs(above - np.median(above))))
         terrain, parallax, hold = None, parallax_of(C, reference, plane), _as_declared(config)
-        strays_m = max(min(measured_m, config.solve.ground_roughness_sigma_m), MIN_STRAY_M)
-    ranged = range_prior(list(keyframes), layout, reference, plane, strays_m, terrain)
+        deviates_m = max(min(measured_m, config.solve.ground_roughness_sigma_m), MIN_DEVIATION_M)
+    ranged = range_prior(list(keyframes), layout, reference, plane, deviates_m, terrain)
     if ranged is not None:  # what it measures is the plane: the points must be held to that as closely as they lie
-        hold = 1.0 / strays_m
+        hold = 1.0 / deviates_m
     priors: list[Prior] = [] if ranged is None else [ranged]
     camera = request.camera if layout.camera_states else None
     ground = reference, hold, terrain, parallax

@@ -202,7 +202,7 @@ def _settled(request: Request, window: WindowProblem, weighed: Weighed) -> tuple
 def _depth_share_without_known_ground(window: WindowProblem, weighed: Weighed) -> float:
     """One sigma of a depth, as a share of it, by the pictures and the sensors alone; 0 where no ground is known. (6.14)
 
-    Terrain gives every picture its depth. What a window without parallax then says of its tilt is no more than the
+    Terrain gives every picture its depth. What a window without parallax then shows of its tilt is no more than the
     noise of a baseline as long as its own error, which linear covariances do not show.
     """
     if window.unweighed.terrain is None and not window.unweighed.priors:
@@ -247,7 +247,7 @@ def _learned(
 
 
 def _with_own_evidence(request: Request, used: Noise, weighed: Weighed) -> tuple[Noise, bool]:
-    """The sensors' variances with what this window itself says of them; True if that changes its weights. (13.2)"""
+    """The sensors' variances with what this window itself shows of them; True if that changes its weights. (13.2)"""
     first = weighed.solution
     evidence = evidence_of(weighed.problem.priors, first.state, first.covariance, used.factors)
     own = request.noise.factors.with_evidence(evidence, request.keyframes[-1].nav.stamp_ns)

@@ -60,7 +60,7 @@ def grid(request: Request, ids: Ids) -> tuple[Array, Array, Array, Array]:
 def sweep(request: Request, keyframes: tuple[Keyframe, ...], share: Array) -> Sweep | None:
     """How the keyframes' rows move, by their navigation as it is now; None where all rows are exposed at once.
 
-    Without attitudes the poses themselves say how fast the camera turns, from keyframe to keyframe.
+    Without attitudes the poses themselves show how fast the camera turns, from keyframe to keyframe.
     """
     moving = [k.observation.moving for k in keyframes if k.observation.moving is not None]
     if len(moving) < len(keyframes):
@@ -126,7 +126,7 @@ def orient(xy: Array, seen: Mask, centres_enu_m: Array, R_body_cam: Array, toler
     """
     common = (seen.astype(int) @ seen.T.astype(int)).astype(float)
     between = centres_enu_m[:, None] - centres_enu_m[None]
-    # What was climbed tells no heading, and a pair that has hardly anything else would be given any.
+    # What was climbed shows no heading, and a pair that has hardly anything else would be given any.
     level2 = np.square(between[..., :2]).sum(axis=-1)
     baseline = level2 / np.maximum(np.sqrt(level2 + np.square(between[..., 2])), 1e-9)
     score = np.where(common >= ENOUGH_COMMON, baseline * np.sqrt(np.minimum(common, 60.0)), 0.0)

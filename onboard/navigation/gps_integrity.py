@@ -148,11 +148,11 @@ class GpsIntegrity:
         gps, last = self._gps, self.quality.latest(moment_ns)
         if last and moment_ns - last[-1].stamp_ns > gps.quality_timeout_s * 1e9:
             return f"the receiver has been silent for more than {gps.quality_timeout_s:g} s"
-        has_fix = [quality.has_fix for quality in self._said(self.quality, moment_ns, LONG_NS)]
+        has_fix = [quality.has_fix for quality in self._reports(self.quality, moment_ns, LONG_NS)]
         losses = sum(was and not now for was, now in itertools.pairwise(has_fix))
         # A fix that comes and goes is a jammed receiver's: back it is no better than after a glitch.
         wait_s = gps.recovery_s if losses < 2 else max(gps.recovery_s, gps.settle_s)
-        if all(quality.has_fix for quality in self._said(self.quality, moment_ns, round(wait_s * 1e9))):
+        if all(quality.has_fix for quality in self._reports(self.quality, moment_ns, round(wait_s * 1e9))):
             return ""
         return Refusal.RECOVERING if has_fix[-1] else self._no_fix
 
@@ -161,18 +161,18 @@ class GpsIntegrity:
 
         A bad report stands until a good one comes.
         """
-        said = self._said(self.filter, moment_ns, round(self._gps.recovery_s * 1e9))
-        if all(s.has_position and not s.is_glitching for s in said):
+        reports = self._reports(self.filter, moment_ns, round(self._gps.recovery_s * 1e9))
+        if all(s.has_position and not s.is_glitching for s in reports):
             return ""
-        if not said[-1].has_position:
+        if not reports[-1].has_position:
             return Refusal.NO_ABSOLUTE_POSITION
-        return Refusal.FILTER_GLITCH if said[-1].is_glitching else Refusal.RECOVERING
+        return Refusal.FILTER_GLITCH if reports[-1].is_glitching else Refusal.RECOVERING
 
-    def _said(self, series: Series[T], moment_ns: int, for_ns: int) -> list[T]:
+    def _reports(self, series: Series[T], moment_ns: int, for_ns: int) -> list[T]:
         """Reports of so long until a moment, and the next one: it also holds for the moment before it.
 
         The first one where none had come yet.
         """
         next_ns = moment_ns + round(self._gps.quality_timeout_s * 1e9)
-        said = [*series.latest(moment_ns, for_ns), *series.between(moment_ns + 1, next_ns).values[:1]]
-        return said or series.values[:1]
+        reports = [*series.latest(moment_ns, for_ns), *series.between(moment_ns + 1, next_ns).values[:1]]
+        return reports or series.values[:1]

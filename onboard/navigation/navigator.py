@@ -285,7 +285,7 @@ class Navigation:
             positions.joined_at(place_ns),
         )
 
-    def was_believed(self, start_ns: int, end_ns: int) -> bool:
+    def was_accepted(self, start_ns: int, end_ns: int) -> bool:
         """Whether no position between two moments was refused; a gap in telemetry alone is no reason to refuse them."""
         gps, before_ns, next_ns = self.config.gps, start_ns, start_ns
         for stamp_ns in self._integrity.positions.between(start_ns + 1, end_ns - 1).stamps_ns:

@@ -50,7 +50,7 @@ class Contradiction:
 
     name: str  # position, velocity, tilt or heading
     sigma_times: float  # what its sigma counts as many times of; 1 once it agrees again
-    lasting_s: float  # from the first to the last window of its newest failure
+    duration_s: float  # from the first to the last window of its newest failure
     windows: int  # in which it failed since the start
 
     @property
@@ -60,7 +60,7 @@ class Contradiction:
 
     def __str__(self) -> str:
         if self.is_now:
-            for_s = f" for {self.lasting_s:.0f} s" if self.lasting_s >= 1.0 else ""
+            for_s = f" for {self.duration_s:.0f} s" if self.duration_s >= 1.0 else ""
             times = f"{self.sigma_times:.2g} times its sigma"
             return f"{self.name} contradicts the other sensors{for_s} and counts with {times}"
         return f"{self.name} contradicted the other sensors in {self.windows} windows"
@@ -72,12 +72,12 @@ def contradictions_of(failing: Failing, now_ns: int) -> tuple[Contradiction, ...
     for name in sorted(failing.windows):
         failure = failing.failures.get(name)
         times = 1.0 if failure is None else math.sqrt(failure.at(now_ns))
-        lasting_s = 0.0 if failure is None else (failure.last_ns - failure.since_ns) / 1e9
-        out.append(Contradiction(name, times, lasting_s, failing.windows[name]))
+        duration_s = 0.0 if failure is None else (failure.last_ns - failure.since_ns) / 1e9
+        out.append(Contradiction(name, times, duration_s, failing.windows[name]))
     return tuple(out)
 
 
-def said_of(contradictions: Iterable[Contradiction]) -> str:
+def in_words(contradictions: Iterable[Contradiction]) -> str:
     """Those of now in one line; empty if there are none."""
     return "; ".join(str(c) for c in contradictions if c.is_now)
 

@@ -39,7 +39,7 @@ SIGMA_RAD = 0.01  # of a predicted feature, with `PREDICTED_SHARE` of how far it
 MOST = 9.0  # largest cost that one picture adds
 MEMORY = 0.97  # decay of the cost per picture: about the last thirty count
 LEAD = 20.0  # by which the cost of one hypothesis must be below all others
-ALIKE_RAD = 0.05  # hypotheses this close need no decision
+SAME_RAD = 0.05  # hypotheses this close need no decision
 WINS = 2  # solves in a row that only one other hypothesis fits
 
 
@@ -75,7 +75,7 @@ class MountSelection:
         """Whether hypotheses differ at this picture and none has been selected yet."""
         return self.verdict is None and _differ(nav.mount_hypotheses.values())
 
-    def carrier(self, navigation: Navigation) -> str:
+    def mounted_on(self, navigation: Navigation) -> str:
         """What the camera is assumed to be mounted on, and why, in words."""
         has_vehicle, has_gimbal = navigation.received
         if not has_gimbal:
@@ -148,7 +148,7 @@ class MountSelection:
 def _differ(attitudes: Iterable[Array]) -> bool:
     """Whether any attitude (3, 3) differs from the first by so much that one of them must be chosen."""
     known = list(attitudes)
-    return any(np.linalg.norm(log_so3(known[0].T @ other)) > ALIKE_RAD for other in known[1:])
+    return any(np.linalg.norm(log_so3(known[0].T @ other)) > SAME_RAD for other in known[1:])
 
 
 def _by_hypothesis(navs: Sequence[NavState], hypothesis: MountHypothesis) -> list[NavState] | None:

@@ -66,7 +66,7 @@ def what_parts(was: NavState, now: NavState, navigation: Navigation, offset_ns: 
     if now.stretch != was.stretch:
         return Break.JUMP
     if apart_ns > RECENT_NS:
-        if not navigation.was_believed(was.stamp_ns + offset_ns, now.stamp_ns + offset_ns):
+        if not navigation.was_accepted(was.stamp_ns + offset_ns, now.stamp_ns + offset_ns):
             return Break.OUTAGE
         if apart_ns > MEMORY_NS // navigation.config.solve.keyframes:
             return Break.APART

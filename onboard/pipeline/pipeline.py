@@ -150,7 +150,7 @@ class Pipeline:
             sensor_errors=sensor_errors,
             unconfirmed=unconfirmed,
             contradictions=contradictions,
-            carrier=self.mount_selection.carrier(self.navigation),
+            mounted_on=self.mount_selection.mounted_on(self.navigation),
             left_out=LeftOut(*self.tracker.left_out_shares),
         )
 
@@ -207,7 +207,7 @@ class Pipeline:
     def _follow_zoom(self, stamp_ns: int) -> None:
         """Leave behind what was seen before the lens moved, and begin again with the camera that it has become.
 
-        What was taken since is refused, whatever was said of it.
+        What was taken since is refused, whatever was reported of it.
         """
         if self.zoom.is_moving(stamp_ns) and self.window.keyframes:
             self._adopt()

@@ -93,7 +93,7 @@ class Summary:
     sensor_errors: tuple[SensorError, ...] = ()  # how large they are, as estimated and as configured
     unconfirmed: tuple[Estimate, ...] = ()  # found, but too far from the prior to be adopted by itself
     contradictions: tuple[Contradiction, ...] = ()  # sensors that contradict the others, or did
-    carrier: str = ""  # what the camera was assumed to be mounted on
+    mounted_on: str = ""  # what the camera was assumed to be mounted on
     left_out: LeftOut = field(default_factory=LeftOut)
     stage_seconds: dict[str, float] = field(default_factory=dict)
 
@@ -187,7 +187,7 @@ class RunStatistics:
             return Shortfall("no pictures", "check the folder of pictures, their stamps and the log's time")
         useless = max((Status.BAD_PICTURE, Status.NO_GPS, Status.UNSYNCHRONISED), key=lambda s: statuses[s])
         if 2 * statuses[useless] > frames:
-            return self._said_of(useless)
+            return self._shortfall_of(useless)
         if self._apart_s and (apart := self._too_far_apart()):
             return apart
         if usable < MIN_KEYFRAMES:
@@ -198,15 +198,15 @@ class RunStatistics:
         worst = max((s for s in statuses if s is not Status.STARTING), key=lambda s: statuses[s], default=None)
         is_still = self._span_m < MIN_SPAN * self._height_m and sum(self._apart_s) > PATIENCE_NS / 1e9
         if worst in (Status.FEATURELESS, Status.TURNING) and statuses[worst] > statuses[Status.STARTING]:
-            return self._said_of(worst)
+            return self._shortfall_of(worst)
         if worst is Status.LOW_PARALLAX or is_still:
-            return self._said_of(Status.LOW_PARALLAX)
+            return self._shortfall_of(Status.LOW_PARALLAX)
         if not self._has_attitude and self._config.solve.attitude == "autopilot":
             return Shortfall(
                 "no attitude in the telemetry", "ask the autopilot for ATTITUDE, or set solve.level_ground = true"
             )
         if worst in (Status.STABILISED, Status.ZOOMED, Status.POOR_FIT):
-            return self._said_of(worst)
+            return self._shortfall_of(worst)
         return Shortfall(
             f"too short: {self.keyframes} keyframes within {self._span_m:.0f} m travelled",
             f"at least {MIN_KEYFRAMES} keyframes are needed, each a tenth of a picture farther on: fly on",
@@ -218,7 +218,7 @@ class RunStatistics:
 
     def _too_far_apart(self) -> Shortfall | None:
         if 3 * self._breaks.total() >= len(self._apart_s):
-            return self._said_of(self._breaks.most_common(1)[0][0])
+            return self._shortfall_of(self._breaks.most_common(1)[0][0])
         shares = np.array(self._overlap)
         if not len(shares) or np.median(shares[:, 1]) >= MIN_OVERLAP:
             return None
@@ -230,7 +230,7 @@ class RunStatistics:
             "take pictures more often, fly slower or higher, or use a wider lens",
         )
 
-    def _said_of(self, why: Status | Break) -> Shortfall:
+    def _shortfall_of(self, why: Status | Break) -> Shortfall:
         """What it means that so many pictures have a status, or that so many pairs of them are parted."""
         count, pairs = self._outcomes[why] if isinstance(why, Status) else self._breaks[why], len(self._apart_s)
         where = f"between {count} of {pairs} pairs of pictures"

@@ -3,8 +3,8 @@
 A young window, or one in the middle of a steady turn, may miss that its frame is shifted to hide a rotation: so after
 one that found it, the next that fits is refused as well, and the second in a row counts (section 19).
 
-A lens that zooms fast loses every feature from one picture to the next. So what is lost at once, where telemetry says
-that the ground is still in sight, leaves the lens in doubt: known ground does not answer for a picture then, and a new
+A lens that zooms fast loses every feature from one picture to the next. So what is lost at once, where telemetry shows
+that the ground is still in view, leaves the lens in doubt: known ground does not answer for a picture then, and a new
 window counts only if it finds the ground about as high as it was, or as its slope leads to, or comes much later. (21.4)
 """
 

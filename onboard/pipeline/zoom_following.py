@@ -71,12 +71,12 @@ class ZoomFollowing:
             self._until_ns = min(self._until_ns, self._confirmed_ns)
 
     def _change(self, before: _Report | None, report: _Report) -> None:
-        """A report tells of another lens than the one before it."""
+        """A report is of another lens than the one before it."""
         if self._is_standing:
             self._is_standing = False
             earliest_ns = report.first_ns if before is None else before.first_ns
             self.suspect_since_ns = max(earliest_ns, report.first_ns - RECENT_NS)
-        # Steps may tell of one that moves slowly less often than reports come.
+        # Steps may report one that moves slowly less often than reports come.
         before_ns = -math.inf if before is None else before.stamp_ns
         began_ns = [ns for ns in (self._changed_ns, before_ns) if report.stamp_ns - ns <= RECENT_NS]
         lasted_ns = report.stamp_ns - int(min(began_ns, default=report.stamp_ns))
@@ -84,7 +84,7 @@ class ZoomFollowing:
         self._changed_ns, self._until_ns = report.stamp_ns, report.last_ns + RECENT_NS
 
     def _sigma_of(self, event: Zoom) -> float:
-        """One sigma of what a report says: as configured, and anywhere within its step."""
+        """One sigma of what is reported: as configured, and anywhere within its step."""
         ends = [self._log_focal(event.value + side * event.step, event.unit) for side in (-0.5, 0.0, 0.5)]
         known = [end for end in ends if end is not None]
         share = (len(known) - 1) / 2.0  # of the step that lies between them

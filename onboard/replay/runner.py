@@ -214,8 +214,8 @@ def summary_text(summary: Summary) -> str:
         rows.append(("refused windows", ", ".join(f"{n} {why}" for why, n in summary.refused_windows.items())))
     if str(summary.left_out):
         rows.append(("left out", str(summary.left_out)))
-    if summary.carrier:
-        rows.append(("camera carried by", summary.carrier))
+    if summary.mounted_on:
+        rows.append(("camera carried by", summary.mounted_on))
     rows += as_rows(summary.estimates, summary.sensor_errors, summary.unconfirmed, summary.contradictions)
     frames = max(summary.frames, 1)
     rows += [

@@ -25,7 +25,7 @@ from onboard.events.sink import Sink
 from onboard.events.source import Source, TelemetrySource
 from onboard.events.types import Event, Frame, GpsQuality
 from onboard.pipeline.error_budgets import NewestBudget
-from onboard.pipeline.estimates import said_of
+from onboard.pipeline.estimates import in_words
 from onboard.pipeline.pipeline import Pipeline
 from onboard.pipeline.statistics import Summary
 from onboard.service.event_queue import EventQueue
@@ -200,7 +200,7 @@ class Session:
             position_fault=self.parts.pipeline.navigation.reason,
             is_at_rest=self._standstill.is_at_rest,
             threads=self.threads(),
-            contradiction=said_of(self._summary.contradictions),
+            contradiction=in_words(self._summary.contradictions),
             thermal_camera=None if self.parts.thermal_camera is None else self.parts.thermal_camera.health(),
         )
 

@@ -114,7 +114,7 @@ def test_the_sensor_that_contradicts_the_others_is_named(fault: str, names: str)
     assert {c.name for c in said} == ({names} if names else set())
     for c in said:
         assert 5 < c.windows < 60
-        assert 5.0 < c.lasting_s < 30.0
+        assert 5.0 < c.duration_s < 30.0
         assert c.sigma_times > 3.0
         assert c.is_now and f"{names} contradicts the other sensors for " in str(c)
 

@@ -41,7 +41,7 @@ def test_auto_finds_the_gimbal_soon_enough_to_keep_the_pictures_before(shared_da
     real = shared_data / "cmac_2018"
     flight = Flight.open(config, Camera.from_json(real / "camera.json"), real / "frames", real / "telemetry.tlog", None)
     summary = replay(WithGimbal(flight), Pipeline(config, flight.camera))
-    assert summary.carrier == "gimbal, as the pictures show"
+    assert summary.mounted_on == "gimbal, as the pictures show"
     assert summary.solved >= 14, summary.refused
     # Its rows are read in turn and it vibrates, which is not declared: no picture is taken for zoomed by that.
     assert not {Status.STABILISED.value, Status.ZOOMED.value} & set(summary.refused), summary.refused

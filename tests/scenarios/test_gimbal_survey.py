@@ -110,7 +110,7 @@ def test_auto_solves_no_fewer_pictures_than_always_where_the_gimbal_tells_the_tr
     assert np.median(auto.semi_m) < 1.2 * np.median(always.semi_m), auto.reported
     assert auto.pipeline is not None and auto.pipeline.mount_selection.verdict is MountHypothesis.GIMBAL
     assert "camera carried by" in summary_text(auto.pipeline.summary)
-    assert auto.pipeline.summary.carrier == "gimbal, as the pictures show"
+    assert auto.pipeline.summary.mounted_on == "gimbal, as the pictures show"
 
 
 @pytest.mark.long  # short, of windows: a thread of their own in tests/onboard/pipeline/test_pipeline.py
@@ -137,7 +137,7 @@ def test_a_gimbal_that_is_not_there_is_never_accepted(wobble_deg: float, pitch_o
     never, auto = (played(folder, mode, events, pitch_off) for mode in ("never", "auto"))
     assert auto.pipeline is not None
     assert auto.pipeline.mount_selection.verdict is not MountHypothesis.GIMBAL
-    assert auto.pipeline.summary.carrier.startswith(("fixed mount", "gimbal by joint angles"))
+    assert auto.pipeline.summary.mounted_on.startswith(("fixed mount", "gimbal by joint angles"))
     assert auto.statuses[Status.OK] >= never.statuses[Status.OK] - 2, auto.reported
     assert auto.inside_99 >= 0.97, auto.reported
 
@@ -149,7 +149,7 @@ def test_the_summary_says_what_carried_the_camera_and_why() -> None:
     alone = played(folder, "auto", only_the_gimbal).pipeline
     none = played(folder, "auto", lambda e, t: []).pipeline
     assert always is not None and never is not None and alone is not None and none is not None
-    assert always.summary.carrier == 'gimbal, as mount.gimbal = "always" specifies'
-    assert never.summary.carrier == "fixed mount"
-    assert alone.summary.carrier == "gimbal, as no attitude of the vehicle is received"
-    assert none.summary.carrier == "unknown: no attitude is used"
+    assert always.summary.mounted_on == 'gimbal, as mount.gimbal = "always" specifies'
+    assert never.summary.mounted_on == "fixed mount"
+    assert alone.summary.mounted_on == "gimbal, as no attitude of the vehicle is received"
+    assert none.summary.mounted_on == "unknown: no attitude is used"

@@ -24,7 +24,7 @@ from onboard.pipeline.estimates import (
     Contradiction,
     Estimate,
     SensorError,
-    said_of,
+    in_words,
 )
 from onboard.pipeline.statistics import LeftOut
 from onboard.service.reports import Report
@@ -281,12 +281,12 @@ def test_what_was_found_and_not_confirmed_is_named() -> None:
 def test_a_sensor_that_contradicts_the_others_is_not_well_while_it_does() -> None:
     """The state and the doctor's line say the same. It was `ok` with a red line and exit 1."""
     wrong, over = Contradiction("tilt", 12.0, 9.0, 8), Contradiction("velocity", 1.0, 3.0, 4)
-    report = report_of(replace(WELL_INPUTS, contradiction=said_of((wrong, over))))
+    report = report_of(replace(WELL_INPUTS, contradiction=in_words((wrong, over))))
     said = "tilt contradicts the other sensors for 9 s and counts with 12 times its sigma"
     assert red(report) == ["state", "sensors"]
     assert text(report, "sensors") == said
     assert text(report, "state") == f"degraded: sensors: {said}"
-    assert red(report_of(replace(WELL_INPUTS, contradiction=said_of((over,))))) == []
+    assert red(report_of(replace(WELL_INPUTS, contradiction=in_words((over,))))) == []
 
 
 def test_every_line_is_explained_and_no_name_runs_into_its_text() -> None:

@@ -17,10 +17,10 @@ from onboard.pipeline.estimates import (
     as_rows,
     contradictions_of,
     estimates_of,
+    in_words,
     larger_than_declared,
     not_adopted,
     relative_variance_of,
-    said_of,
     sensor_errors,
     unconfirmed_of,
 )
@@ -94,10 +94,10 @@ def test_a_sensor_that_contradicts_the_others_is_said_while_it_does_and_remember
     )
     (now,) = contradictions_of(failing, 22 * second_ns)
     assert now == Contradiction("heading", 20.0, 12.0, 2)
-    assert said_of([now]) == "heading contradicts the other sensors for 12 s and counts with 20 times its sigma"
+    assert in_words([now]) == "heading contradicts the other sensors for 12 s and counts with 20 times its sigma"
     assert dict(as_rows((), (), (), [now])) == {"contradictions": str(now)}
     (later,) = contradictions_of(failing, 600 * second_ns)
-    assert later.sigma_times == pytest.approx(1.0) and said_of([later]) == ""
+    assert later.sigma_times == pytest.approx(1.0) and in_words([later]) == ""
     assert str(later) == "heading contradicted the other sensors in 2 windows"
     assert contradictions_of(Failing(), 0) == ()
 
