@@ -71,9 +71,9 @@ def test_a_leg_simulated_out_and_back_is_one_consistent_flight(simulated: Leg) -
     fixes = [e for e in events if isinstance(e, PositionFix)]
     assert np.all(np.diff([f.stamp_ns for f in fixes]) > 0)
     moved = np.diff([f.lat_deg for f in fixes])
-    said = np.array([0.0 if f.velocity_ned_m_s is None else f.velocity_ned_m_s[0] for f in fixes])
-    same_way = np.sign(said[1:]) == np.sign(said[:-1])
-    assert np.all(np.sign(moved)[same_way] == np.sign(said[1:])[same_way])
+    output = np.array([0.0 if f.velocity_ned_m_s is None else f.velocity_ned_m_s[0] for f in fixes])
+    same_way = np.sign(output[1:]) == np.sign(output[:-1])
+    assert np.all(np.sign(moved)[same_way] == np.sign(output[1:])[same_way])
     assert np.count_nonzero(~same_way) == 2
 
 
@@ -86,9 +86,9 @@ def test_the_same_leg_is_rendered_once(simulated: Leg, tmp_path: Path) -> None:
 
 
 def test_tracking_is_compared_with_three_ways_of_raw_flow(simulated: Leg) -> None:
-    said = tracking.report(simulated.images, [("8 Hz", 1), ("4 Hz", 2)])
-    assert said.count("raw LK, picture to picture") == 2
-    assert len(re.findall(r"goal 1\.6\): (NOT )?reached; \d+ tracks", said)) == 2
+    output = tracking.report(simulated.images, [("8 Hz", 1), ("4 Hz", 2)])
+    assert output.count("raw LK, picture to picture") == 2
+    assert len(re.findall(r"goal 1\.6\): (NOT )?reached; \d+ tracks", output)) == 2
 
 
 def test_the_pipeline_counts_pictures_sets_and_memory(simulated: Leg) -> None:
@@ -97,9 +97,9 @@ def test_the_pipeline_counts_pictures_sets_and_memory(simulated: Leg) -> None:
     assert run.solved > FRAMES_A_PASS
     assert len(run.call_ms) == len(run.lag_ms)
     assert all(lag >= call for lag, call in zip(run.lag_ms, run.call_ms, strict=True))
-    said = pipeline.report(simulated, FRAMES_A_PASS)
-    assert "of one core" in said
-    assert "too short a run" in said
+    output = pipeline.report(simulated, FRAMES_A_PASS)
+    assert "of one core" in output
+    assert "too short a run" in output
     assert "vision/klt_tracker.py:" in pipeline.hot_spots(simulated, FRAMES_A_PASS, 1000)
 
 
@@ -107,10 +107,10 @@ def test_a_ratio_to_an_earlier_commit_is_that_of_turns_side_by_side() -> None:
     """A machine that is slower for a while slows both of a pair."""
     before = [against.Turn(ms, {"tracking": 0.3 * ms}, 10, 9) for ms in (10.0, 20.0, 12.0)]
     now = [against.Turn(0.5 * t.picture_ms, {"tracking": 0.1 * t.picture_ms}, 8, 8) for t in before]
-    said = against.report("abc1234", before, now)
-    assert "ratio of 3 turns: median 0.500 (0.500 to 0.500), goal 0.60: reached" in said
-    assert re.search(r"\| tracking +\| +3\.60 \| +1\.20 \| +0\.33 \|", said)
-    assert "abc1234: 30 sets, 27 with an answer; this checkout: 24 sets, 24 with an answer" in said
+    output = against.report("abc1234", before, now)
+    assert "ratio of 3 turns: median 0.500 (0.500 to 0.500), goal 0.60: reached" in output
+    assert re.search(r"\| tracking +\| +3\.60 \| +1\.20 \| +0\.33 \|", output)
+    assert "abc1234: 30 sets, 27 with an answer; this checkout: 24 sets, 24 with an answer" in output
     assert "NOT reached" in against.report("abc1234", before, before)
 
 
@@ -130,9 +130,9 @@ def test_the_flight_in_turns_flies_with_the_code_of_the_commit_that_it_is_compar
 def test_latency_is_reported_in_parts_and_held_against_the_goal_of_its_link() -> None:
     parts_s = np.tile([0.003, 0.05, 0.03, 0.04, 0.001, 0.003], (20, 1))
     run = latency.Run(parts_s.sum(axis=1), parts_s, {"ATTITUDE": 25.0}, 2.0, 4.5)
-    said = latency.report(100_000.0, run)
-    assert "100 kbit/s: p95 127 ms, goal 250: reached; 20 pictures, 2.0 a second of 4.5 sets" in said
-    assert re.search(r"\| waits for telemetry +\| +50 \| +50 \| +50 \|", said)
+    output = latency.report(100_000.0, run)
+    assert "100 kbit/s: p95 127 ms, goal 250: reached; 20 pictures, 2.0 a second of 4.5 sets" in output
+    assert re.search(r"\| waits for telemetry +\| +50 \| +50 \| +50 \|", output)
     slow = replace(run, latency_s=run.latency_s + 0.5)
     assert "goal 600: NOT reached" in latency.report(32_000.0, slow)
 
@@ -165,10 +165,10 @@ def test_every_format_carries_the_same_set(sets: list[FeatureSet]) -> None:
 
 
 def test_the_wire_names_each_format(sets: list[FeatureSet]) -> None:
-    said = wire.report(sets[:3], 2)
-    assert "3 sets of 40 features" in said
+    output = wire.report(sets[:3], 2)
+    assert "3 sets of 40 features" in output
     # Forty are not the hundred that the goal speaks of, however few bytes they take.
-    assert "goal 480 for 100): NOT reached" in said
+    assert "goal 480 for 100): NOT reached" in output
 
 
 def test_a_hundred_measured_features_take_480_bytes_and_answer_as_before_rounding(simulated: Leg) -> None:
@@ -214,9 +214,9 @@ def test_a_set_is_written_and_read_in_less_than_zlib_and_json_take() -> None:
 
 
 def test_clicks_are_taken_from_memory_a_recording_and_a_peer(sets: list[FeatureSet]) -> None:
-    said = click.report(sets[:4], recorded=12, clicks=20, runs=1)
+    output = click.report(sets[:4], recorded=12, clicks=20, runs=1)
     for case in ("seen before", "recording of 12 sets", "live peer, that picture", "live peer, newest"):
-        assert case in said
+        assert case in output
 
 
 def test_sets_for_a_long_recording_count_on(sets: list[FeatureSet]) -> None:
@@ -280,13 +280,13 @@ def test_a_fleet_s_losses_are_those_of_the_phase_and_its_newest_sets_are_counted
     second = 10**9
     phase = fleet.Phase("all well", 10 * second, 20 * second, 1.0, 40.0)
     # Two aircraft (the second one flaps), a set each second; two operators, of whom the second one misses one set.
-    said = np.array([(0, k, t, t * second, t * second) for k in (1, 2) for t in range(5, 25)])
+    output = np.array([(0, k, t, t * second, t * second) for k in (1, 2) for t in range(5, 25)])
     received = np.array(
         [(o, k, t, t * second, t * second + o * 2_000_000) for o in (1, 2) for k in (1, 2) for t in range(5, 25)]
     )
     received = np.concatenate([received, received[:40] + (0, 0, 0, 0, second)])  # sent again: the first time counts
     received = received[~((received[:, 0] == 2) & (received[:, 2] == 12))]
-    loss, ms = fleet.lost_and_late(phase, said, received, 2, flapping=2)
+    loss, ms = fleet.lost_and_late(phase, output, received, 2, flapping=2)
     assert loss == pytest.approx(1 / 18) and len(ms) == 17  # nine seconds of ten are counted
     assert sorted(set(np.round(ms, 6))) == [2.0, 4.0]
     assert fleet.newest_within_s(received, 20 * second, 2, 2) == pytest.approx(0.004)

@@ -352,8 +352,8 @@ def test_the_demo_runs_as_the_readme_shows(tmp_path: Path) -> None:
     truth = Truth.load(out / "flight")
     for key, row in shown.items():
         frame, u, v = (int(word.rstrip(",")) for word in key.split()[1:])
-        said = run("ground", "click", u, v, "--frame", frame, "--from", out / "session.mcap", "--format", "json")
-        answer, true = json.loads(said.stdout), truth.ground(frame, [float(u), float(v)])
+        output = run("ground", "click", u, v, "--frame", frame, "--from", out / "session.mcap", "--format", "json")
+        answer, true = json.loads(output.stdout), truth.ground(frame, [float(u), float(v)])
         place = answer["lat_deg"], answer["lon_deg"], answer["height_amsl_m"]
         error = LocalFrame(true.lat_deg[0], true.lon_deg[0], true.height_amsl_m[0]).to_enu(*place)[:2]
         figures = place[0] * 111_000.0, place[1] * 81_000.0, place[2] / 5.0, answer["ellipse"]["semi_major_m"]

@@ -173,7 +173,7 @@ def test_a_link_without_an_aircraft_is_one_clear_line(environment: Path) -> None
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "output"),
     [
         (["click", "1", "2", "--from", "nowhere.mcap"], "nowhere.mcap"),
         (["click", "1", "nan"], "finite"),
@@ -181,10 +181,10 @@ def test_a_link_without_an_aircraft_is_one_clear_line(environment: Path) -> None
         (["clack"], "clack"),
     ],
 )
-def test_wrong_usage_is_reported(environment: Path, arguments: list[str], said: str) -> None:
+def test_wrong_usage_is_reported(environment: Path, arguments: list[str], output: str) -> None:
     done = run(environment, "pc-ground", *arguments)
     assert (done.returncode, done.stdout) == (2, "")
-    assert said in done.stderr
+    assert output in done.stderr
     assert "Traceback" not in done.stderr
 
 
@@ -290,21 +290,21 @@ def use_geo(environment: Path, folder: Path) -> None:
 def use_geotiff(environment: Path, folder: Path) -> None:
     """What was seen, as a raster; with the base alone as polygons."""
     files = folder / "seen.tif", folder / "seen.geojson"
-    said = run_well(
+    output = run_well(
         environment, "pc-ground", "seen", "--from", level_session(folder / "session.mcap"),
         *(word for file in files for word in ("--to", file)),
     )  # fmt: skip
-    assert said.startswith("seen: ") and "in 1 picture of uav" in said
+    assert output.startswith("seen: ") and "in 1 picture of uav" in output
     assert files[0].read_bytes()[:2] in (b"II", b"MM")
     assert json.loads(files[1].read_text())["type"] == "FeatureCollection"
 
 
 def use_record(environment: Path, folder: Path) -> None:
     """What the link delivers is kept; without an aircraft nothing, and it says so."""
-    said = run_well(
+    output = run_well(
         environment, "pc-ground", "record", "--to", folder / "kept", "--seconds", 0.3, "--connect", "tcp/127.0.0.1:9"
     )
-    assert "nothing received yet" in said
+    assert "nothing received yet" in output
     program = f"""
 from pathlib import Path
 from contract.wire.codec import encode
@@ -398,17 +398,17 @@ def use_live(programs: Path, folder: Path) -> None:
         env={"PATH": "/usr/bin:/bin", "XDG_DATA_HOME": str(folder / "data"), "PYTHONUNBUFFERED": "1"},
     ) as program:  # fmt: skip
         assert program.stdout is not None
-        said = ""
+        output = ""
         try:
             for line in program.stdout:
-                said += line
+                output += line
                 if "Ctrl-C" in line:
                     break
             program.send_signal(signal.SIGINT)
-            assert program.wait(60) == 130, said
+            assert program.wait(60) == 130, output
         finally:
             program.kill()
-    assert "pc-onboard runs" in said
+    assert "pc-onboard runs" in output
 
 
 def use_postgresql(environment: Path, folder: Path) -> None:

@@ -56,7 +56,7 @@ def tables() -> tuple[dict[str, str], dict[str, str]]:
     """Package -> licence: the table of what runs, and the table of what only development needs."""
     text = (ROOT / "docs" / "licences.md").read_text(encoding="utf-8")
     runs, _, develops = text.partition("Only for development")
-    read = [{name: said for name, said in ROW.findall(part) if name != "package"} for part in (runs, develops)]
+    read = [{name: reported for name, reported in ROW.findall(part) if name != "package"} for part in (runs, develops)]
     return read[0], read[1]
 
 

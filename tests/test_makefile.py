@@ -109,20 +109,20 @@ def test_what_runs_on_a_submission_includes_the_long_tests() -> None:
 
 @pytest.mark.parametrize(("parallel", "serial"), [(1, 0), (0, 1), (5, 0), (0, 5), (5, 5), (2, 5), (5, 2)])
 def test_a_failure_or_an_empty_run_fails(tmp_path: Path, parallel: int, serial: int) -> None:
-    code, calls, said = make_pytest(tmp_path, parallel, serial)
+    code, calls, printed = make_pytest(tmp_path, parallel, serial)
     assert code != 0
     assert len(calls) == 2  # a failure in one does not hide what the other finds
-    assert ("is a marker lost" in said) == ({parallel, serial} == {0, 5})
+    assert ("is a marker lost" in printed) == ({parallel, serial} == {0, 5})
 
 
 @pytest.mark.parametrize(("types", "parallel", "is_well"), [(0, 0, True), (1, 0, False), (0, 1, False), (1, 1, False)])
 def test_types_are_checked_next_to_the_tests_and_either_fails(
     tmp_path: Path, types: int, parallel: int, is_well: bool
 ) -> None:
-    code, calls, said = make_pytest(tmp_path, parallel, 0, target="test", types=types)
+    code, calls, printed = make_pytest(tmp_path, parallel, 0, target="test", types=types)
     assert (code == 0) is is_well
     assert len(calls) == 2
-    assert ("make types failed" in said) == bool(types)
+    assert ("make types failed" in printed) == bool(types)
 
 
 @pytest.mark.parametrize(("parallel", "serial", "is_well"), [(0, 5, True), (5, 0, True), (5, 5, False), (1, 5, False)])

@@ -47,7 +47,7 @@ def run(minutes: int, **last: float) -> Soak:
         Faults(),
         rows,
         code=0,
-        said={"READY=1": 1, "WATCHDOG=1": 200},
+        printed={"READY=1": 1, "WATCHDOG=1": 200},
         asked=9,
         answered=9,
         gap_s=0.4,
@@ -85,8 +85,8 @@ def test_a_minute_through_every_fault_passes(simulated: Leg, cache: Path, tmp_pa
     # The figures are written a moment before what has come is counted.
     assert 0.9 * minute.sent <= minute.received <= 1.1 * minute.sent
     assert 0 < minute.sent < minute.sets
-    assert done.said["STOPPING=1"] == 1
-    assert done.said["WATCHDOG=1"] > 60
+    assert done.printed["STOPPING=1"] == 1
+    assert done.printed["WATCHDOG=1"] > 60
     assert 0.1 < done.gap_s < 10.0
     assert "camera, telemetry, GPS" in done.report()
 
@@ -172,10 +172,10 @@ def test_the_autopilot_s_leg_is_one_consistent_flight_in_a_loop(simulated: Leg, 
     stamps = np.array([m.time_boot_ms for m in fixes])
     assert np.all(np.diff(stamps) > 0)
     north_cm = np.array([m.lat for m in fixes]) * 1e-7 * np.pi / 180.0 * 6378137.0 * 100.0
-    said = np.array([m.vx for m in fixes], float)
+    printed = np.array([m.vx for m in fixes], float)
     moved = np.diff(north_cm) / (np.diff(stamps) / 1000.0)
-    same_way = np.sign(said[1:]) == np.sign(said[:-1])
-    assert np.allclose(moved[same_way], (said[1:] + said[:-1])[same_way] / 2.0, rtol=0.05)
+    same_way = np.sign(printed[1:]) == np.sign(printed[:-1])
+    assert np.allclose(moved[same_way], (printed[1:] + printed[:-1])[same_way] / 2.0, rtol=0.05)
     assert np.count_nonzero(~same_way) == 1
 
 

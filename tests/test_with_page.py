@@ -49,14 +49,18 @@ def test_node_is_fetched_for_the_build_only_where_it_is_needed(
 
 
 @pytest.mark.parametrize(
-    ("npm", "said"),
+    ("npm", "printed"),
     [([], "there is no npm"), (["sh", "-c", "echo 'npm error no network'; exit 1"], "npm error no network")],
 )
 def test_a_wheel_without_its_page_is_made_and_says_so_in_a_line(
-    backend: ModuleType, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], npm: list[str], said: str
+    backend: ModuleType,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    npm: list[str],
+    printed: str,
 ) -> None:
     monkeypatch.setattr(backend, "find_npm", lambda: (npm, os.environ["PATH"]))
     monkeypatch.setattr(backend.build_meta, "build_wheel", lambda *_: "pointclick.whl")
     assert backend.build_wheel("there") == "pointclick.whl"
     complaint = capsys.readouterr().err
-    assert said in complaint and "without the page" in complaint and complaint.count("\n") == 1
+    assert printed in complaint and "without the page" in complaint and complaint.count("\n") == 1

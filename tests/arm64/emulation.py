@@ -48,8 +48,8 @@ def _strips_both() -> bool:
     """Whether `strip` reads the libraries of both architectures, as packaging/slim.py needs it to."""
     if shutil.which("strip") is None:
         return False
-    said = subprocess.run(["strip", "--help"], capture_output=True, text=True, check=False).stdout.split()
-    return {"elf64-x86-64", "elf64-littleaarch64"} <= set(said)
+    printed = subprocess.run(["strip", "--help"], capture_output=True, text=True, check=False).stdout.split()
+    return {"elf64-x86-64", "elf64-littleaarch64"} <= set(printed)
 
 
 def sysroot() -> Path:

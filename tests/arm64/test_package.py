@@ -90,8 +90,8 @@ def well(done: subprocess.CompletedProcess[str]) -> str:
 
 
 def test_it_is_for_its_architecture(here: Installation) -> None:
-    said = well(here("-c", "import onboard, platform, sys; print(platform.machine(), sys.prefix, onboard.__file__)"))
-    machine, prefix, module = said.split()
+    printed = well(here("-c", "import onboard, platform, sys; print(platform.machine(), sys.prefix, onboard.__file__)"))
+    machine, prefix, module = printed.split()
     assert machine == {"amd64": "x86_64", "arm64": "aarch64"}[here.architecture]
     assert prefix.endswith("/opt/pointclick")
     assert module.startswith(prefix)

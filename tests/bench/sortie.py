@@ -69,8 +69,8 @@ class Sortie:
 
     def unit(self, *properties: str) -> dict[str, str]:
         """Properties of our unit, as systemd has them."""
-        said = self.machine.shell(f"systemctl show {aircraft.UNIT} -p {','.join(properties)}")
-        return dict(line.split("=", 1) for line in said.splitlines())
+        reported = self.machine.shell(f"systemctl show {aircraft.UNIT} -p {','.join(properties)}")
+        return dict(line.split("=", 1) for line in reported.splitlines())
 
     def wait_for(
         self, what: str, holds: Callable[[dict[str, Any]], bool], within_s: float

@@ -200,11 +200,11 @@ def _click_by_command(
             # A command gives the radio 2 s to open, and 3 s to answer: at this loss too little now and then.
             failures.append(done.stderr.strip())
         assert done.returncode in (0, 3), failures
-        said = json.loads(done.stdout)
-        if said["status"] != "ok":
+        printed = json.loads(done.stdout)
+        if printed["status"] != "ok":
             return None
-        ellipse = Ellipse(*(said["ellipse"][name] for name in ("semi_major_m", "semi_minor_m", "azimuth_deg")))
-        return _judged(row, said["lat_deg"], said["lon_deg"], said["height_amsl_m"], ellipse)
+        ellipse = Ellipse(*(printed["ellipse"][name] for name in ("semi_major_m", "semi_minor_m", "azimuth_deg")))
+        return _judged(row, printed["lat_deg"], printed["lon_deg"], printed["height_amsl_m"], ellipse)
 
     chosen = rows[:: max(len(rows) // CLICKS_BY_COMMAND, 1)][:CLICKS_BY_COMMAND]
     with concurrent.futures.ThreadPoolExecutor(2) as pool:

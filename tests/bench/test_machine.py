@@ -87,13 +87,13 @@ def test_the_radio_is_as_bad_as_asked(
     guest: Machine, radio: Link, words: str, least_ms: float, most_ms: float, lost: tuple[int, int]
 ) -> None:
     radio.impair(guest, words)
-    said = guest.run("ping", "-q", "-c", "200", "-i", "0.01", "-W", "1", radio.host).text
+    reported = guest.run("ping", "-q", "-c", "200", "-i", "0.01", "-W", "1", radio.host).text
     radio.impair(guest, "")
-    came = re.search(r"(\d+) received", said)
-    times = re.search(r"= ([\d.]+)/([\d.]+)/", said)
-    assert came is not None and times is not None, said
-    assert lost[0] <= 200 - int(came[1]) <= lost[1], said
-    assert least_ms <= float(times[1]) and float(times[2]) <= most_ms, said
+    came = re.search(r"(\d+) received", reported)
+    times = re.search(r"= ([\d.]+)/([\d.]+)/", reported)
+    assert came is not None and times is not None, reported
+    assert lost[0] <= 200 - int(came[1]) <= lost[1], reported
+    assert least_ms <= float(times[1]) and float(times[2]) <= most_ms, reported
 
 
 def test_the_autopilot_is_received_over_the_serial_line_without_loss(guest: Machine, autopilot: FakeAutopilot) -> None:

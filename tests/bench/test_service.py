@@ -69,7 +69,7 @@ def test_an_input_output_error_of_the_driver_costs_a_moment(flying: Sortie) -> N
     assert flying.unit("MainPID") == pid
 
 
-def test_an_unplugged_camera_is_said_and_taken_up_again_under_another_name(
+def test_an_unplugged_camera_is_reported_and_taken_up_again_under_another_name(
     flying: Sortie, record_property: Record
 ) -> None:
     pid = flying.unit("MainPID")
@@ -98,9 +98,9 @@ def _noticed_after_s(journal: str) -> float:
     """
     lines = journal.splitlines()
     gone = [line for line in lines if "unregistering video" in line][-1]
-    said = [line for line in lines if re.search("state: camera lost: .*(unplugged|not there|not among)", line)][-1]
-    begun_s, said_s = (float(line[1:].split("]", 1)[0]) for line in (gone, said))
-    return said_s - begun_s
+    reported = [line for line in lines if re.search("state: camera lost: .*(unplugged|not there|not among)", line)][-1]
+    begun_s, reported_s = (float(line[1:].split("]", 1)[0]) for line in (gone, reported))
+    return reported_s - begun_s
 
 
 def test_a_killed_process_is_back_within_seconds(flying: Sortie, record_property: Record) -> None:
@@ -126,10 +126,10 @@ def test_a_hung_process_is_ended_by_the_watchdog_and_started_again(flying: Sorti
 
 
 def test_the_process_lives_in_a_narrow_cage(flying: Sortie, record_property: Record) -> None:
-    said = flying.machine.run("systemd-analyze", "security", "--no-pager", UNIT).text
-    found = re.search(r"Overall exposure level for \S+: ([\d.]+)", said)
-    record_property("exposure", found[1] if found else said)
-    assert found is not None and 0.1 < float(found[1]) <= MOST_EXPOSED, said
+    reported = flying.machine.run("systemd-analyze", "security", "--no-pager", UNIT).text
+    found = re.search(r"Overall exposure level for \S+: ([\d.]+)", reported)
+    record_property("exposure", found[1] if found else reported)
+    assert found is not None and 0.1 < float(found[1]) <= MOST_EXPOSED, reported
     pid = flying.unit("MainPID")["MainPID"]
     process = dict(line.split(":\t", 1) for line in flying.machine.shell(f"cat /proc/{pid}/status").splitlines())
     assert "0" not in process["Uid"].split()

@@ -98,12 +98,12 @@ def test_an_answer_is_read_back_from_60_bytes_or_fewer(
     horizontal = axes.T @ np.diag(sigmas**2) @ axes
     covariance = np.block([[horizontal, vertical[:, None]], [vertical[None], np.array([[sigma_height_m**2]])]])
     ellipsoid_m = None if undulation_m is None else height_m + undulation_m
-    said = replace(
+    reported = replace(
         FIX, lat_deg=lat_deg, lon_deg=lon_deg, height_amsl_m=height_m, height_ellipsoid_m=ellipsoid_m,
         ellipse=Ellipse(major_m, major_m * ratio, azimuth_deg), sigma_height_m=sigma_height_m, method=method,
         age_s=age_s, vehicle=vehicle, covariance_enu_m2=covariance,
     )  # fmt: skip
-    payload = encode_answer(ClickAnswer(7, said))
+    payload = encode_answer(ClickAnswer(7, reported))
     assert len(payload) <= MAX_ANSWER_BYTES
     found = fix_of(payload)
     assert abs(found.lat_deg - lat_deg) <= 1e-9 and abs(found.lon_deg - lon_deg) <= 1e-9

@@ -117,7 +117,7 @@ def test_pieces_that_cannot_be_are_refused() -> None:
 
 
 @given(st.binary(min_size=1, max_size=3000), st.integers(1, 60))
-def test_pieces_and_parities_have_the_lengths_that_are_said(content: bytes, pieces: int) -> None:
+def test_pieces_and_parities_have_the_lengths_that_are_reported(content: bytes, pieces: int) -> None:
     pieces = min(pieces, len(content))
     contents = pieces_of(content, pieces)
     contents += parities(contents)

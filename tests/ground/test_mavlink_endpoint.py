@@ -15,7 +15,7 @@ from ground.mavlink_endpoint import MavlinkEndpoint
 from tests.contract.test_click_code import FIX
 
 
-def test_the_usual_and_everything_said() -> None:
+def test_the_usual_and_everything_reported() -> None:
     assert MavlinkEndpoint.parse("mavlink:udpin:0.0.0.0:14551") == MavlinkEndpoint("udpin", "0.0.0.0", 14551)
     assert MavlinkEndpoint.parse(
         "mavlink:serial:/dev/ttyUSB0:57600?system=200&component=26&vehicle=3&companion=192&ground_stations=250-255"
@@ -43,7 +43,7 @@ def test_a_ground_station_s_number_is_refused_with_what_it_would_hide(options: s
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "reported"),
     [
         ("mavlink:udpin:14551", "is none of"),
         ("mavlink:carrier:pigeon:1", "is none of"),
@@ -53,8 +53,8 @@ def test_a_ground_station_s_number_is_refused_with_what_it_would_hide(options: s
         ("mavlink:udpin:0.0.0.0:14551?vehicle=x", "no number from 1 to 255"),
     ],
 )
-def test_what_cannot_be_read_is_one_line(text: str, said: str) -> None:
-    with pytest.raises(UsageError, match=said) as raised:
+def test_what_cannot_be_read_is_one_line(text: str, reported: str) -> None:
+    with pytest.raises(UsageError, match=reported) as raised:
         MavlinkEndpoint.parse(text)
     assert "\n" not in str(raised.value)
 

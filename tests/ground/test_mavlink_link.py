@@ -157,7 +157,7 @@ def test_a_ground_that_is_turned_away_says_what_it_would_have_hidden() -> None:
             link.ask(320.0, 240.0)
 
 
-def test_no_one_there_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_one_there_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mavlink_link, "FIND_S", 0.2)
     with flying() as (radio, (aircraft,)):
         aircraft.stop.set()

@@ -200,7 +200,9 @@ Long = tuple[Path, list[tuple[int, int]], list[int]]
 
 
 @pytest.mark.parametrize("length", [2**63, 2**31, 10**6, 5000, 100, 3, 0])
-def test_a_damaged_record_length_costs_that_record_and_is_said(long_session: Long, tmp_path: Path, length: int) -> None:
+def test_a_damaged_record_length_costs_that_record_and_is_reported(
+    long_session: Long, tmp_path: Path, length: int
+) -> None:
     """33 of 100 pictures used to be all that was found, without a word."""
     path, places, of_sets = long_session
     content = bytearray(path.read_bytes())
@@ -211,9 +213,9 @@ def test_a_damaged_record_length_costs_that_record_and_is_said(long_session: Lon
     recording = Recording(damaged)
     assert set(range(100)) - set(recording.frames("uav-1")) <= {33}
     assert recording.by_frame("uav-1", 34) is not None and recording.by_frame("uav-1", 99) is not None
-    (said,) = recording.damage
-    assert str(damaged) in said and "damaged from byte" in said
-    place, size = (int(number) for number in re.findall(r"\d+", said.split("damaged from byte")[1]))
+    (printed,) = recording.damage
+    assert str(damaged) in printed and "damaged from byte" in printed
+    place, size = (int(number) for number in re.findall(r"\d+", printed.split("damaged from byte")[1]))
     assert at <= place <= at + 9 + true_length and place + size == places[of_sets[33] + 1][0]
     assert Recording(path).damage == []
 

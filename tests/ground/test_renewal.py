@@ -71,7 +71,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     "error",
     [LinkError("no route"), zenoh.ZError("no route"), RuntimeError("no route"), MemoryError("no route")],
 )
-def test_failed_attempts_do_not_end_the_renewal_and_are_said_until_one_goes_well(
+def test_failed_attempts_do_not_end_the_renewal_and_are_reported_until_one_goes_well(
     monkeypatch: pytest.MonkeyPatch, error: Exception
 ) -> None:
     opener = Opener(FakeSession())
@@ -143,7 +143,7 @@ def test_a_watched_thread_outlives_anything_and_says_so() -> None:
     assert watched.close()
 
 
-def test_a_watched_thread_that_hangs_is_said_and_does_not_hold_up_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_watched_thread_that_hangs_is_reported_and_does_not_hold_up_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(WatchedThread, "HUNG_S", 0.05)
     release = threading.Event()
     watched = WatchedThread("a worker", lambda: release.wait(PATIENCE_S) and None, 0.01)

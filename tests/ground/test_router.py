@@ -220,9 +220,9 @@ def test_one_more_aircraft_is_added_while_all_others_run_on(keys: Path, tmp_path
     endpoint = free_endpoint().replace("tcp/", "tls/")
     config = keys / FLEET_FILE
     tls = {name: Tls.in_folder(keys / name) for name in ("uav-1", "anna")}
-    said = tmp_path / "said"
+    output = tmp_path / "said"
     with (
-        said.open("w") as file,
+        output.open("w") as file,
         ended(subprocess.Popen([*ROUTER, "--config", str(config), "--listen", endpoint], cwd=ROOT, stderr=file)),
         Publisher("uav-1", [], [endpoint], rate=WIDE, tls=tls["uav-1"]) as first,
         SetCache(endpoint, tls=tls["anna"]) as cache,
@@ -233,7 +233,7 @@ def test_one_more_aircraft_is_added_while_all_others_run_on(keys: Path, tmp_path
             assert is_received(cache, late, "late", 5)
             assert is_received(cache, first, "uav-1", 6)
         config.write_text("aircraft = 3\n")
-        assert eventually(lambda: "the list from before stays" in said.read_text())
+        assert eventually(lambda: "the list from before stays" in output.read_text())
         assert is_received(cache, first, "uav-1", 7)
 
 

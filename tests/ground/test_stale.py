@@ -77,15 +77,15 @@ def aircraft(endpoint: str) -> Iterator[Aircraft]:
 def click(endpoint: str, capsys: pytest.CaptureFixture[str]) -> Click:
     def run(*options: str) -> tuple[int, dict[str, Any]]:
         """Asked again where the link was too slow to answer at all."""
-        said: list[tuple[int, str]] = []
+        printed: list[tuple[int, str]] = []
 
         def is_answered() -> bool:
             code = main(["click", "320", "240", "--connect", endpoint, "--format", "json", *options])
-            said.append((code, capsys.readouterr().out))
+            printed.append((code, capsys.readouterr().out))
             return code != 2
 
         assert eventually(is_answered)
-        return said[-1][0], json.loads(said[-1][1])
+        return printed[-1][0], json.loads(printed[-1][1])
 
     return run
 
@@ -101,7 +101,7 @@ class Since:
         return age_s is not None and at_first_s <= age_s <= at_first_s + time.monotonic() - self._began_s + 0.5
 
 
-def said_age_s(pattern: str, text: str) -> float:
+def reported_age_s(pattern: str, text: str) -> float:
     """The number in a text."""
     found = re.search(pattern, text)
     assert found is not None, text
@@ -156,19 +156,19 @@ def test_with_gps_telemetry_or_camera_gone_the_old_picture_is_refused_with_the_r
     assert since.holds(answer["age_s"], LOST_S)
     assert first in answer["reason"] and second in answer["reason"] and reason in answer["reason"]
     if cause is not None:
-        assert since.holds(said_age_s(r"frame 19, (\d+\.\d) s old", answer["reason"]), 0.1)
-    said: list[str] = []
+        assert since.holds(reported_age_s(r"frame 19, (\d+\.\d) s old", answer["reason"]), 0.1)
+    printed: list[str] = []
 
     def is_refused() -> bool:
         code = main(["click", "320", "240", "--connect", endpoint])
         out, err = capsys.readouterr()
         assert out == ""
-        said.append(err)
+        printed.append(err)
         return code == 3
 
     assert eventually(is_refused)
-    age_s = said_age_s(r"^stale: the newest picture that can be clicked is (\d+\.\d) s old", said[-1])
-    assert since.holds(age_s, LOST_S) and said[-1].count("\n") == 1
+    age_s = reported_age_s(r"^stale: the newest picture that can be clicked is (\d+\.\d) s old", printed[-1])
+    assert since.holds(age_s, LOST_S) and printed[-1].count("\n") == 1
     # Who wants that very picture still gets it, with its age.
     for options in (["--max-age", "300"], ["--max-age", "inf"], ["--frame", "9"]):
         code, answer = click(*options)

@@ -43,8 +43,8 @@ class DisturbedFlight(SampledFlight):
         self._faults = faults
 
     def events(self) -> Iterator[Event]:
-        said = [disturbed(event, EPOCH_NS, self._faults, PLACE) for event in super().events()]
-        yield from sorted(said, key=lambda event: event.stamp_ns)
+        reported = [disturbed(event, EPOCH_NS, self._faults, PLACE) for event in super().events()]
+        yield from sorted(reported, key=lambda event: event.stamp_ns)
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Outcome:
     error_m: float
     chi2: NDArray[np.float64]
     semi_m: float
-    said: tuple[Contradiction, ...]
+    reported: tuple[Contradiction, ...]
 
 
 def simulated(fault: str, is_full: bool) -> Outcome:
@@ -78,8 +78,8 @@ def _simulated(fault: str, is_full: bool) -> Outcome:
             chi2.append(chi2_of(error, answer))
             errors.append(float(np.hypot(*error)))
             semi.append(answer.ellipse.semi_major_m)
-    said = pipeline.summary.contradictions
-    return Outcome(len(errors) / asked, float(np.median(errors)), np.array(chi2), float(np.median(semi)), said)
+    reported = pipeline.summary.contradictions
+    return Outcome(len(errors) / asked, float(np.median(errors)), np.array(chi2), float(np.median(semi)), reported)
 
 
 # Flights in which windows are refused and tried again take four times as long as the others; the position's fault is
@@ -110,9 +110,9 @@ def test_answers_go_on_and_are_as_honest_as_claimed(fault: str) -> None:
     ],
 )
 def test_the_sensor_that_contradicts_the_others_is_named(fault: str, names: str) -> None:
-    said = simulated(fault, True).said
-    assert {c.name for c in said} == ({names} if names else set())
-    for c in said:
+    reported = simulated(fault, True).reported
+    assert {c.name for c in reported} == ({names} if names else set())
+    for c in reported:
         assert 5 < c.windows < 60
         assert 5.0 < c.duration_s < 30.0
         assert c.sigma_times > 3.0

@@ -90,10 +90,10 @@ def test_a_fix_lost_between_pictures_is_an_outage() -> None:
 
 def test_pictures_without_overlap_are_refused_and_the_summary_says_how_often_is_enough() -> None:
     """30 m/s, ten seconds apart, 315 m of ground on a picture: 5 % in common. Every 7.9 s a quarter would be."""
-    said = why(play(simulated(survey(10.0, 8, speed_m_s=30.0))))
-    assert "no overlap: pictures 10.0 s apart, at most " in said
-    most_s = float(said.split("at most ")[1].split()[0])
-    assert 7.2 < most_s < 8.4, said
+    printed = why(play(simulated(survey(10.0, 8, speed_m_s=30.0))))
+    assert "no overlap: pictures 10.0 s apart, at most " in printed
+    most_s = float(printed.split("at most ")[1].split()[0])
+    assert 7.2 < most_s < 8.4, printed
     answers(play(simulated(survey(most_s, 8, speed_m_s=30.0))))
 
 

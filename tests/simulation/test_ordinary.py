@@ -106,10 +106,10 @@ def slope(x: Array, y: Array) -> float:
 
 def test_no_errors_are_none(tmp_path: Path) -> None:
     """The log that is declared is not touched by what an ordinary autopilot's would have."""
-    said = reported(tmp_path, AutopilotErrors(), seconds=60.0)
-    assert np.abs(said.position_m).max() < 0.03
-    assert np.abs(said.velocity_m_s).max() < 0.02
-    assert np.abs(said.attitude_deg).max() < 0.03
+    messages = reported(tmp_path, AutopilotErrors(), seconds=60.0)
+    assert np.abs(messages.position_m).max() < 0.03
+    assert np.abs(messages.velocity_m_s).max() < 0.02
+    assert np.abs(messages.attitude_deg).max() < 0.03
 
 
 @pytest.mark.parametrize(("position_s", "velocity_s"), [(0.15, 0.08), (-0.2, -0.11)])
@@ -117,37 +117,37 @@ def test_position_lags_along_the_track_and_velocity_by_less(
     position_s: float, velocity_s: float, tmp_path: Path
 ) -> None:
     errors = AutopilotErrors(position_lag_s=position_s, velocity_lag_s=velocity_s)
-    said = reported(tmp_path, errors, attitude_hz=1.0)
-    v, a = said.truth.velocity_enu_m_s(said.position_s), said.acceleration_m_s2(said.position_s)
-    assert slope(v, said.position_m) == pytest.approx(-position_s, abs=0.001)
-    assert np.abs(said.position_m + position_s * v).max() < 0.04, "a lag, and in a turn no older place"
-    assert slope(a, said.velocity_m_s) == pytest.approx(-velocity_s, abs=0.003)
+    messages = reported(tmp_path, errors, attitude_hz=1.0)
+    v, a = messages.truth.velocity_enu_m_s(messages.position_s), messages.acceleration_m_s2(messages.position_s)
+    assert slope(v, messages.position_m) == pytest.approx(-position_s, abs=0.001)
+    assert np.abs(messages.position_m + position_s * v).max() < 0.04, "a lag, and in a turn no older place"
+    assert slope(a, messages.velocity_m_s) == pytest.approx(-velocity_s, abs=0.003)
 
 
 def test_level_is_trimmed_wrong_and_tilts_with_acceleration(tmp_path: Path) -> None:
-    said = reported(tmp_path, AutopilotErrors(trim_deg=(0.9, -1.2), tilt_per_m_s2_deg=(0.05, -0.04)))
-    right = np.stack([np.cos(said.heading_rad), -np.sin(said.heading_rad)], axis=1)
-    ahead = np.stack([np.sin(said.heading_rad), np.cos(said.heading_rad)], axis=1)
-    acceleration = said.acceleration_m_s2(said.attitude_s)[:, :2]
+    messages = reported(tmp_path, AutopilotErrors(trim_deg=(0.9, -1.2), tilt_per_m_s2_deg=(0.05, -0.04)))
+    right = np.stack([np.cos(messages.heading_rad), -np.sin(messages.heading_rad)], axis=1)
+    ahead = np.stack([np.sin(messages.heading_rad), np.cos(messages.heading_rad)], axis=1)
+    acceleration = messages.acceleration_m_s2(messages.attitude_s)[:, :2]
     aside = np.sum(acceleration * right, axis=1)
     level = np.abs(aside) < 0.3
-    assert np.mean(said.attitude_deg[level], axis=0)[:2] == pytest.approx([0.9, -1.2], abs=0.03)
-    assert np.polyfit(aside, said.attitude_deg[:, 0], 1)[0] == pytest.approx(0.05, abs=0.01)
+    assert np.mean(messages.attitude_deg[level], axis=0)[:2] == pytest.approx([0.9, -1.2], abs=0.03)
+    assert np.polyfit(aside, messages.attitude_deg[:, 0], 1)[0] == pytest.approx(0.05, abs=0.01)
     # There is hardly any acceleration ahead at constant speed: pitch must not follow that to the side by itself.
     assert np.abs(np.sum(acceleration * ahead, axis=1)).max() < 1.0
     slowly = reported(tmp_path, AutopilotErrors(tilt_deg=0.8, tilt_time_s=3.0), "straight", 600.0, attitude_hz=5.0)
     sampling = 1.0 / np.sqrt(2.0 * 600.0 / (2.0 * 3.0))  # of a sigma, relative
-    assert said.attitude_deg.shape[1] == 3
+    assert messages.attitude_deg.shape[1] == 3
     assert slowly.attitude_deg[:, :2].std(axis=0) == pytest.approx([0.8, 0.8], rel=3.0 * sampling)
 
 
 def test_heading_is_wrong_by_heading_and_drifts(tmp_path: Path) -> None:
     errors = AutopilotErrors(heading_deg=0.7, heading_cos_deg=3.0, heading_sin_deg=-1.5)
-    said = reported(tmp_path, errors, "orbit", 120.0)
-    h = said.heading_rad
+    messages = reported(tmp_path, errors, "orbit", 120.0)
+    h = messages.heading_rad
     assert np.ptp(np.cos(h)) > 1.9 and np.ptp(np.sin(h)) > 1.9, "all directions"
     found, *_ = np.linalg.lstsq(
-        np.stack([np.ones(len(h)), np.cos(h), np.sin(h)], axis=1), said.attitude_deg[:, 2], rcond=None
+        np.stack([np.ones(len(h)), np.cos(h), np.sin(h)], axis=1), messages.attitude_deg[:, 2], rcond=None
     )
     assert found == pytest.approx([0.7, 3.0, -1.5], abs=0.03)
     drift = AutopilotErrors(heading_drift_deg=1.5, heading_time_s=3.0)
@@ -162,33 +162,33 @@ def test_heading_is_wrong_by_heading_and_drifts(tmp_path: Path) -> None:
 
 def test_velocity_errs_with_acceleration(tmp_path: Path) -> None:
     errors = AutopilotErrors(velocity_m_s=0.1, velocity_per_m_s2=0.12, velocity_time_s=1.0)
-    said = reported(tmp_path, errors, attitude_hz=1.0)
-    size = np.linalg.norm(said.acceleration_m_s2(said.position_s), axis=1)
+    messages = reported(tmp_path, errors, attitude_hz=1.0)
+    size = np.linalg.norm(messages.acceleration_m_s2(messages.position_s), axis=1)
     level, turning = size < 0.3, size > 3.5
-    assert said.velocity_m_s[level].std() == pytest.approx(0.105, rel=0.25)
+    assert messages.velocity_m_s[level].std() == pytest.approx(0.105, rel=0.25)
     expected = float(np.sqrt(np.mean(0.1**2 + (0.12 * size[turning]) ** 2)))
     assert expected > 0.4
-    assert said.velocity_m_s[turning].std() == pytest.approx(expected, rel=0.25)
+    assert messages.velocity_m_s[turning].std() == pytest.approx(expected, rel=0.25)
 
 
 def test_the_filter_follows_a_glitch_and_comes_back(tmp_path: Path) -> None:
     errors = AutopilotErrors(
         glitch_m=(20.0, 0.0, 0.0), glitch_start_share=0.5, glitch_s=12.0, glitch_follow_s=2.0, glitch_in_velocity=0.3
     )
-    said = reported(tmp_path, errors, "straight", 60.0)
-    began_s = 0.5 * (said.truth.start_s + said.truth.end_s)
-    off = np.interp([-0.2, 2.0, 11.0, 14.0, 30.0], said.position_s - began_s, said.position_m[:, 0])
+    messages = reported(tmp_path, errors, "straight", 60.0)
+    began_s = 0.5 * (messages.truth.start_s + messages.truth.end_s)
+    off = np.interp([-0.2, 2.0, 11.0, 14.0, 30.0], messages.position_s - began_s, messages.position_m[:, 0])
     assert off == pytest.approx(20.0 * np.array([0.0, 1 - np.exp(-1.0), 1 - np.exp(-5.5), np.exp(-1.0), 0.0]), abs=0.3)
-    assert np.abs(said.position_m[:, 1]).max() < 0.05
-    stated = np.interp(2.0, said.position_s - began_s, said.velocity_m_s[:, 0])
+    assert np.abs(messages.position_m[:, 1]).max() < 0.05
+    stated = np.interp(2.0, messages.position_s - began_s, messages.velocity_m_s[:, 0])
     assert stated == pytest.approx(0.3 * 20.0 / 2.0 * np.exp(-1.0), abs=0.1)
 
 
 def test_position_drifts_as_sampled(tmp_path: Path) -> None:
-    said = reported(
+    messages = reported(
         tmp_path, AutopilotErrors(), "straight", 900.0, slow_horizontal_m=2.0, slow_time_constant_s=5.0, attitude_hz=1.0
     )
-    assert said.position_m[:, :2].std(axis=0) == pytest.approx([2.0, 2.0], rel=3.0 / np.sqrt(900.0 / 5.0))
+    assert messages.position_m[:, :2].std(axis=0) == pytest.approx([2.0, 2.0], rel=3.0 / np.sqrt(900.0 / 5.0))
 
 
 def test_autopilots_are_sampled_as_they_were_measured() -> None:

@@ -114,9 +114,9 @@ class Operator:
 
     def clear(self) -> None:
         """No pins and no ties are left."""
-        said = self.ask("api/pins")
+        reported = self.ask("api/pins")
         for kind in ("pins", "ties"):
-            for held in said[kind]:
+            for held in reported[kind]:
                 self.page.request.delete(f"{self.server.local}api/{kind}/{held['id']}")
 
     def check(self) -> None:

@@ -111,6 +111,6 @@ def grown(page: Any) -> tuple[float, int]:
     devtools.send("Performance.enable")
     for _ in range(2):
         devtools.send("HeapProfiler.collectGarbage")
-    said = {row["name"]: row["value"] for row in devtools.send("Performance.getMetrics")["metrics"]}
+    reported = {row["name"]: row["value"] for row in devtools.send("Performance.getMetrics")["metrics"]}
     devtools.detach()
-    return said["JSHeapUsedSize"] / 1e6, int(said["Nodes"])
+    return reported["JSHeapUsedSize"] / 1e6, int(reported["Nodes"])

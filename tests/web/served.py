@@ -107,11 +107,11 @@ class PageProgram:
             [sys.executable, "-m", "ground", *map(str, words)],
             stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment, cwd=ROOT,
         )  # fmt: skip
-        self.said, self.url = "", ""
+        self.printed, self.url = "", ""
         self.is_served = False  # whether the page was there
         assert self.process.stdout is not None
         for line in self.process.stdout:
-            self.said += line
+            self.printed += line
             if found := re.match(r"open (http\S+)", line):
                 self.url = found[1]
             if "Ctrl-C" in line:
@@ -125,7 +125,7 @@ class PageProgram:
     def _read(self) -> None:
         assert self.process.stdout is not None
         for line in self.process.stdout:
-            self.said += line
+            self.printed += line
 
     @property
     def local(self) -> str:
@@ -149,8 +149,8 @@ class Server:
         """With the same arguments, perhaps once more."""
         program = PageProgram("web", "--port", port, *self.arguments)
         if not program.is_served:
-            raise AssertionError(f"the server did not start: {program.said}")
-        self.process, self.said, self.url = program.process, program.said, program.url
+            raise AssertionError(f"the server did not start: {program.printed}")
+        self.process, self.printed, self.url = program.process, program.printed, program.url
         found = re.search(r":(\d+)/", self.url)
         assert found is not None
         self.port = int(found[1])

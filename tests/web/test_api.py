@@ -68,21 +68,21 @@ def test_a_click_is_answered_as_on_the_command_line(api: Api, simulated: Simulat
         (100.25, 400.5, simulated.newest - 5),
         (5.0, 5.0, simulated.refused),
     ):
-        said = api.client.post("/api/click", json=api.click(u, v, frame))
+        printed = api.client.post("/api/click", json=api.click(u, v, frame))
         command = [sys.executable, "-m", "ground", "click", str(u), str(v), "--frame", str(frame)]
         done = subprocess.run(
             [*command, "--from", simulated.path, "--format", "json"],
             capture_output=True, text=True, check=False, cwd=ROOT, timeout=60,
         )  # fmt: skip
-        assert said.status_code == 200
-        assert said.text == done.stdout.strip()
-    assert json.loads(said.text)["status"] == "turning"
+        assert printed.status_code == 200
+        assert printed.text == done.stdout.strip()
+    assert json.loads(printed.text)["status"] == "turning"
 
 
 def test_a_click_on_a_picture_that_is_not_there_says_so(api: Api) -> None:
-    said = api.client.post("/api/click", json=api.click(320, 240, 100_000)).json()
-    assert said["status"] == "unknown_frame"
-    assert "no set of this picture" in said["reason"]
+    printed = api.client.post("/api/click", json=api.click(320, 240, 100_000)).json()
+    assert printed["status"] == "unknown_frame"
+    assert "no set of this picture" in printed["reason"]
     other = {**api.click(320, 240), "session": 1}
     assert "restarted" in api.client.post("/api/click", json=other).json()["reason"]
     other = {**api.click(320, 240), "vehicle": "<b>"}
@@ -103,9 +103,9 @@ def test_a_body_that_is_none_is_refused(api: Api, body: Any) -> None:
     ],
 )  # fmt: skip
 def test_what_is_no_number_or_no_text_is_refused_in_a_line(api: Api, body: bytes) -> None:
-    said = api.client.post("/api/pins", content=body, headers={"content-type": "application/json"})
-    assert said.status_code == 422
-    detail = said.json()["detail"]
+    printed = api.client.post("/api/pins", content=body, headers={"content-type": "application/json"})
+    assert printed.status_code == 422
+    detail = printed.json()["detail"]
     assert isinstance(detail, str)
     assert 5 < len(detail) < 200
     assert "\n" not in detail
@@ -116,21 +116,21 @@ def test_a_typed_pin_was_seen_when_somebody_says_so_and_not_when_it_was_typed(ap
     typed = {"lat_deg": -43.38, "lon_deg": 172.4, "sigma_m": 5.0}
     pin = api.client.post("/api/pins", json=typed).json()["pin"]
     assert pin["seen_utc"] is None
-    said = api.client.get(f"/api/pins/{pin['id']}/handoff").json()
-    assert {row["name"]: row["text"] for row in said["texts"]}["time"] == "not known"
-    assert "Time of sighting unknown" in said["readback"]
+    printed = api.client.get(f"/api/pins/{pin['id']}/handoff").json()
+    assert {row["name"]: row["text"] for row in printed["texts"]}["time"] == "not known"
+    assert "Time of sighting unknown" in printed["readback"]
     assert ",," in api.client.get("/api/export/csv").text.splitlines()[1]
     known = api.client.post("/api/pins", json={**typed, "seen_utc": "2026-05-01T21:03:00Z"}).json()["pin"]
     assert known["seen_utc"] == "2026-05-01T21:03:00.000000Z"
-    said = api.client.get(f"/api/pins/{known['id']}/handoff").json()
-    assert "Seen at 21 03 U T C" in said["readback"]
+    printed = api.client.get(f"/api/pins/{known['id']}/handoff").json()
+    assert "Seen at 21 03 U T C" in printed["readback"]
 
 
 def test_the_place_under_the_cursor_is_that_of_the_pin_a_click_would_make(api: Api, simulated: Simulated) -> None:
-    said = api.client.post("/api/place", json=api.click(300.5, 200.25)).json()
+    printed = api.client.post("/api/place", json=api.click(300.5, 200.25)).json()
     place = api.pin(300.5, 200.25)["place"]
-    assert {name: said[name] for name in place} == place
-    assert said["method"] == "interpolated"
+    assert {name: printed[name] for name in place} == place
+    assert printed["method"] == "interpolated"
     refused = api.client.post("/api/place", json=api.click(320, 240, simulated.refused)).json()
     assert (refused["status"], bool(refused["advice"])) == ("turning", True)
     assert len(api.client.get("/api/pins").json()["pins"]) == 1
@@ -197,10 +197,10 @@ def test_a_pin_is_on_disk_with_its_crop_before_it_is_answered(api: Api, tmp_path
 
 
 def test_a_refused_click_makes_no_pin_and_says_what_would_help(api: Api, simulated: Simulated) -> None:
-    said = api.client.post("/api/pins", json={"click": api.click(320, 240, simulated.refused)})
-    assert said.status_code == 422
-    answer = said.json()["answer"]
-    assert (said.json()["pin"], answer["status"]) == (None, "turning")
+    printed = api.client.post("/api/pins", json={"click": api.click(320, 240, simulated.refused)})
+    assert printed.status_code == 422
+    answer = printed.json()["answer"]
+    assert (printed.json()["pin"], answer["status"]) == (None, "turning")
     assert "before or after the turn" in answer["advice"]
     assert api.client.get("/api/pins").json()["pins"] == []
 
@@ -262,18 +262,18 @@ def test_a_pin_clicked_again_is_surer_and_one_clicked_elsewhere_contradicts_itse
 
 def test_distance_between_two_pins_is_surer_than_either(api: Api) -> None:
     one, two = api.pin(300, 200), api.pin(360, 240)
-    said = api.client.get("/api/measure", params={"from": one["id"], "to": two["id"]}).json()
-    assert said["status"] == "ok"
-    assert 5.0 < said["distance_m"] < 60.0
-    assert said["sigma_distance_m"] < 0.5 * one["place"]["ce90_m"]
+    printed = api.client.get("/api/measure", params={"from": one["id"], "to": two["id"]}).json()
+    assert printed["status"] == "ok"
+    assert 5.0 < printed["distance_m"] < 60.0
+    assert printed["sigma_distance_m"] < 0.5 * one["place"]["ce90_m"]
 
 
 def test_a_tie_moves_all_pins_of_its_flight_and_is_taken_back(api: Api, simulated: Simulated) -> None:
     pins = [api.pin(200, 150), api.pin(420, 330, simulated.newest - 8)]
-    said = api.client.post("/api/click", json=api.click(320, 240)).json()
+    printed = api.client.post("/api/click", json=api.click(320, 240)).json()
     north_deg = 3.0 / 111_320.0
     tie = {
-        "click": api.click(320, 240), "lat_deg": said["lat_deg"] + north_deg, "lon_deg": said["lon_deg"],
+        "click": api.click(320, 240), "lat_deg": printed["lat_deg"] + north_deg, "lon_deg": printed["lon_deg"],
         "sigma_m": 0.3, "name": "bridge",
     }  # fmt: skip
     made = api.client.post("/api/ties", json=tie)
@@ -284,7 +284,7 @@ def test_a_tie_moves_all_pins_of_its_flight_and_is_taken_back(api: Api, simulate
         assert place["tied"] == 1
         assert 0.5 * north_deg < place["lat_deg"] - pin["place"]["lat_deg"] < 1.5 * north_deg
         assert place["ce90_m"] < pin["place"]["ce90_m"]
-    far = {**tie, "lat_deg": said["lat_deg"] + 400.0 / 111_320.0, "name": "elsewhere"}
+    far = {**tie, "lat_deg": printed["lat_deg"] + 400.0 / 111_320.0, "name": "elsewhere"}
     refused = api.client.post("/api/ties", json=far)
     assert refused.status_code == 409
     assert 300 < refused.json()["misses_m"] < 500
@@ -298,20 +298,20 @@ def test_a_tie_moves_all_pins_of_its_flight_and_is_taken_back(api: Api, simulate
 def test_a_pin_is_handed_off_in_every_format(api: Api) -> None:
     pin, other = api.pin(320, 240, name="<script>alert(1)</script>"), api.pin(360, 300)
     url = f"/api/pins/{pin['id']}/handoff"
-    said = api.client.get(url, params={"from": other["id"], "crs": "EPSG:2193"}).json()
-    texts = {row["name"]: row["text"] for row in said["texts"]}
+    printed = api.client.get(url, params={"from": other["id"], "crs": "EPSG:2193"}).json()
+    texts = {row["name"]: row["text"] for row in printed["texts"]}
     lat, lon = pin["place"]["lat_deg"], pin["place"]["lon_deg"]
     assert 0.5 < pin["place"]["ce90_m"] < 10.0
     places = decimals("degrees", pin["place"]["ce90_m"])
     assert texts["degrees"] == f"{lat:.{places}f} {lon:.{places}f}"
     assert texts["geo"].startswith(f"geo:{lat:.7f},{lon:.7f},")
     assert re.fullmatch(r"\d\d[A-Z] [A-Z]{2} \d{5} \d{5}", texts["mgrs"])
-    assert "M G R S: " in said["readback"]
+    assert "M G R S: " in printed["readback"]
     assert texts["author"].startswith("no name given, ")
     assert texts["time"] == pin["seen_utc"][:19].replace("T", " ") + " UTC"
     assert "deg true" in texts["bearing"]
     assert "N" in texts["crs"]
-    assert "Read back" in said["readback"]
+    assert "Read back" in printed["readback"]
     code = api.client.get(f"/api/pins/{pin['id']}/qr.svg")
     assert code.headers["content-type"] == "image/svg+xml"
     assert code.content.startswith(b"<?xml") or code.content.startswith(b"<svg")

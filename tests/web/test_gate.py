@@ -87,8 +87,8 @@ def test_a_thousand_half_open_connections_leave_the_page_answering(simulated: Si
     assert len(held.sockets) == HALF_OPEN
     assert worst_s < 0.8 * HEADERS_S  # none waits for the time limit of others; goal: 1, where nothing else runs
     assert descriptors < 900
-    said = [line for line in log.read_text().splitlines() if "closed" in line or "rror" in line]
-    assert len(said) == 1, said
+    printed = [line for line in log.read_text().splitlines() if "closed" in line or "rror" in line]
+    assert len(printed) == 1, printed
 
 
 def test_a_connection_that_owes_its_headers_is_closed_and_one_that_does_not_is_not() -> None:

@@ -129,8 +129,8 @@ def test_the_page_shows_the_newest_picture_that_came_and_clicks_it_as_itself(
         def rows() -> list[dict[str, Any]]:
             """What the server has."""
             try:
-                with urllib.request.urlopen(f"{server.local}api/vehicles/{simulated.vehicle}/frames") as said:
-                    return list(json.load(said))
+                with urllib.request.urlopen(f"{server.local}api/vehicles/{simulated.vehicle}/frames") as reported:
+                    return list(json.load(reported))
             except urllib.error.HTTPError:  # it does not know of the aircraft
                 return []
 

@@ -39,10 +39,12 @@ def test_sets_that_are_published_are_clicked_and_a_silent_aircraft_grows_old(sim
 
         wait_for(heard_of_one, "the first set")
         version = source.version(simulated.vehicle)
-        said = encode_status(VehicleStatus(last.capture_unix_ns / 1e9, last.session, "degraded", "clock", tracks=41))
+        reported = encode_status(
+            VehicleStatus(last.capture_unix_ns / 1e9, last.session, "degraded", "clock", tracks=41)
+        )
 
         def is_reported() -> bool:
-            publisher.publish_status(said, b"")  # once a second in flight: one may be lost
+            publisher.publish_status(reported, b"")  # once a second in flight: one may be lost
             return source.report(simulated.vehicle).status is not None
 
         wait_for(is_reported, "the status")

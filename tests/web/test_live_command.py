@@ -70,9 +70,9 @@ def test_from_one_command_to_an_answered_click_and_both_programs_end(
     streamed, arguments = flight
     live = Live(tmp_path / "home", *arguments)
     try:
-        assert live.url, live.said
+        assert live.url, live.printed
         began_ns = streamed.server.wait_for_client(START_S)
-        assert began_ns is not None, live.said
+        assert began_ns is not None, live.printed
         operator = Operator(chromium, live, has_map=False)  # type: ignore[arg-type]
         deadline = began_ns / 1e9 + TO_CLICK_S
         while not _answered(operator):
@@ -110,7 +110,7 @@ def test_each_program_ends_with_the_other(flight: tuple[StreamedFlight, list[obj
         os.kill(onboard, signal.SIGKILL)
         assert live.process.wait(PATIENCE_S) == 2
         live.reader.join(PATIENCE_S)
-        assert "pc-ground: error: pc-onboard has ended" in live.said.splitlines()[-1]
+        assert "pc-ground: error: pc-onboard has ended" in live.printed.splitlines()[-1]
         again = Live(tmp_path / "home", *arguments)
         (onboard,) = again.onboard()
         again.process.kill()
@@ -129,7 +129,7 @@ def test_each_program_ends_with_the_other(flight: tuple[StreamedFlight, list[obj
         (("--camera-file", "none.json"), "none.json: no such file; pc-onboard calibrate makes one"),
     ],
 )
-def test_what_cannot_work_is_said_in_one_line(tmp_path: Path, arguments: tuple[str, ...], why: str) -> None:
+def test_what_cannot_work_is_reported_in_one_line(tmp_path: Path, arguments: tuple[str, ...], why: str) -> None:
     page_is_built()
     camera = tmp_path / "camera.json"
     camera.write_text(json.dumps({"width_px": 1}))
@@ -140,4 +140,4 @@ def test_what_cannot_work_is_said_in_one_line(tmp_path: Path, arguments: tuple[s
     usual = ["--camera", "rtsp://127.0.0.1:1/x", "--telemetry", telemetry, "--camera-file", camera]
     live = Live(tmp_path / "home", *usual, *arguments)
     assert live.process.returncode == 2
-    assert why in live.said and live.said.startswith("pc-ground: error: ") and live.said.count("\n") == 1
+    assert why in live.printed and live.printed.startswith("pc-ground: error: ") and live.printed.count("\n") == 1

@@ -69,14 +69,14 @@ def test_fifty_tablets_at_once_each_hear_of_every_pin(flight: Flight) -> None:
         async with connect(f"ws://127.0.0.1:{flight.port}/api/events", open_timeout=PATIENCE_S) as socket:
             await joined.wait()
             click = {"vehicle": VEHICLE, "frame": 0, "u": 100.0 + 8.0 * k, "v": 150.0 + 3.0 * k}
-            said = await client.post("/api/pins", json={"click": click, "who": f"tablet {k}"})
-            assert said.status_code == 201, said.text
+            reported = await client.post("/api/pins", json={"click": click, "who": f"tablet {k}"})
+            assert reported.status_code == 201, reported.text
             received: set[int] = set()
             while len(received) < TABLETS:
                 event = json.loads(await socket.recv())
                 if event["type"] == "pin":
                     received.add(event["pin"]["number"])
-            return said.json()["pin"]["number"], received
+            return reported.json()["pin"]["number"], received
 
     async def all_of_them() -> list[tuple[int, set[int]]]:
         joined = asyncio.Barrier(TABLETS)

@@ -73,15 +73,15 @@ def test_one_command_from_the_card_to_an_answered_click(
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     arguments = made(session, tmp_path)
     first = opened(*arguments)
-    assert first.url, first.said
+    assert first.url, first.reported
     for words in ("camera", "mount", "log", "--set", "solved"):
-        assert words in first.said
+        assert words in first.reported
     _answers(chromium, first)
     first.close()
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     assert after.ru_utime - before.ru_utime < LIMIT_S
     again = opened(*arguments)  # without a replay; and a session is opened as it is
-    assert "replayed before" in again.said
+    assert "replayed before" in again.reported
     (recorded,) = (tmp_path / "home").rglob("session.mcap")
     third = opened(recorded)
     _answers(chromium, third)
@@ -110,9 +110,9 @@ def test_a_session_without_pictures_says_why_and_what_helps(
         path.unlink()
     camera = f"camera.file={session / 'camera.json'}"
     bare = opened(tmp_path / "photos", "--set", camera, "--set", "recording.pictures=none")
-    assert "holds no pictures" in bare.said and "--video" in bare.said
-    with urllib.request.urlopen(f"{bare.url}api/status", timeout=PATIENCE_S) as said:
-        assert "--video" in json.load(said)["no_pictures"]
+    assert "holds no pictures" in bare.reported and "--video" in bare.reported
+    with urllib.request.urlopen(f"{bare.url}api/status", timeout=PATIENCE_S) as reported:
+        assert "--video" in json.load(reported)["no_pictures"]
 
 
 def no_log(session: Path, folder: Path) -> list[object]:
@@ -159,7 +159,7 @@ def wrong_setting(session: Path, folder: Path) -> list[object]:
 
 # What the import itself finds missing is in short of tests/onboard/commands/test_import_video.py and _photos.py.
 @pytest.mark.parametrize(
-    ("made", "said"),
+    ("made", "reported"),
     rest_long(
         [
             (not_there, "no such file"), (wrong_setting, "mount.pitch_deg"), (another_day_s_log, "do not overlap"),
@@ -169,9 +169,9 @@ def wrong_setting(session: Path, folder: Path) -> list[object]:
         kept=3,
     ),
 )  # fmt: skip
-def test_what_is_missing_is_said_in_a_line(
-    session: Path, tmp_path: Path, opened: Callable[..., Opened], made: Callable[..., list[object]], said: str
+def test_what_is_missing_is_reported_in_a_line(
+    session: Path, tmp_path: Path, opened: Callable[..., Opened], made: Callable[..., list[object]], reported: str
 ) -> None:
     ended = opened(*made(session, tmp_path))
-    assert ended.process.returncode == 2 and said in ended.said, ended.said
-    assert ended.said.count("\n") == 1, ended.said
+    assert ended.process.returncode == 2 and reported in ended.reported, ended.reported
+    assert ended.reported.count("\n") == 1, ended.reported

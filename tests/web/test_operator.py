@@ -127,30 +127,30 @@ def test_all_aircraft_are_in_the_strip_and_on_the_map_and_the_chosen_one_is_stro
 
 
 def test_what_would_make_a_radius_smaller_is_in_the_strip_and_at_an_answer(fleet: Flight, screen: Any) -> None:
-    said = "Mostly the camera's mount (60 %): fly one circle"
+    reported = "Mostly the camera's mount (60 %): fly one circle"
     chosen = screen.locator("#status-strip .craft[aria-pressed=true]")
-    assert said in chosen.inner_text() and said in chosen.get_attribute("title")
+    assert reported in chosen.inner_text() and reported in chosen.get_attribute("title")
     assert (
-        said not in screen.locator("#status-strip .craft[data-vehicle=uav-7]").inner_text()
+        reported not in screen.locator("#status-strip .craft[data-vehicle=uav-7]").inner_text()
     )  # small ones have no room
     box = screen.get_by_test_id("picture").bounding_box()
     screen.mouse.click(box["x"] + 0.4 * box["width"], box["y"] + 0.6 * box["height"])
     screen.get_by_test_id("pin").first.click()
     card = screen.get_by_test_id("smaller")
     card.wait_for()
-    assert card.inner_text() == said
+    assert card.inner_text() == reported
     screen.get_by_role("button", name="Delete").click()
     screen.wait_for_selector("[data-testid=smaller]", state="detached")
 
 
-def test_the_place_under_the_cursor_is_said_and_the_crosshair_makes_a_pin(anna: Operator) -> None:
+def test_the_place_under_the_cursor_is_reported_and_the_crosshair_makes_a_pin(anna: Operator) -> None:
     readout = anna.by("readout")
     anna.page.mouse.move(*anna.at(300.0, 200.0))
     anna.page.wait_for_selector("#readout:not([hidden])")
-    said = str(readout.inner_text())
-    assert re.match(r"-?\d+\.\d+, -?\d+\.\d+  90 % within \d", said)
+    reported = str(readout.inner_text())
+    assert re.match(r"-?\d+\.\d+, -?\d+\.\d+  90 % within \d", reported)
     anna.click(300.0, 200.0)
-    assert said.split("  ", maxsplit=1)[0] in str(anna.by("answer").inner_text())
+    assert reported.split("  ", maxsplit=1)[0] in str(anna.by("answer").inner_text())
     # By keyboard alone: a crosshair in the middle, moved by the arrows.
     page = anna.page
     page.locator("#picture").focus()

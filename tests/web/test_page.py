@@ -22,7 +22,7 @@ AXE = ROOT / "frontend" / "node_modules" / "axe-core" / "axe.min.js"
 
 
 def test_a_click_becomes_a_pin_that_is_there_after_a_reload(anna: Operator, simulated: Simulated) -> None:
-    said = anna.click(200.0, 150.0)
+    reported = anna.click(200.0, 150.0)
     pin = anna.newest_pin()
     click = pin["clicks"][0]
     assert (click["frame"], click["session"]) == (simulated.newest, anna.newest_pin()["clicks"][0]["session"])
@@ -30,9 +30,9 @@ def test_a_click_becomes_a_pin_that_is_there_after_a_reload(anna: Operator, simu
     assert click["v_px"] == pytest.approx(150.0, abs=0.6)
     place = pin["place"]
     digits = decimals("degrees", place["ce90_m"])
-    assert f"{place['lat_deg']:.{digits}f}, {place['lon_deg']:.{digits}f}" in said
-    assert "90 % within" in said
-    assert "above sea level" in said
+    assert f"{place['lat_deg']:.{digits}f}, {place['lon_deg']:.{digits}f}" in reported
+    assert "90 % within" in reported
+    assert "above sea level" in reported
     marker = anna.by("picture-pin").first.locator(".spot").bounding_box()
     x, y = anna.at(200.0, 150.0)
     assert abs(marker["x"] + marker["width"] / 2 - x) < 1.0
@@ -73,9 +73,9 @@ def test_a_frozen_and_a_stepped_picture_is_clicked_as_itself(anna: Operator, sim
 def test_a_refused_click_says_why_and_what_helps_at_the_spot(anna: Operator, simulated: Simulated) -> None:
     anna.show(simulated.refused, simulated)
     assert "cannot be clicked" in anna.page.locator("#banner").inner_text()
-    said = anna.click(400.0, 100.0)
-    assert said.startswith("Refused: the aircraft was turning too fast")
-    assert "What helps" in said
+    reported = anna.click(400.0, 100.0)
+    assert reported.startswith("Refused: the aircraft was turning too fast")
+    assert "What helps" in reported
     bubble = anna.page.locator(".bubble").bounding_box()
     x, y = anna.at(400.0, 100.0)
     assert bubble["x"] - 5 <= x <= bubble["x"] + bubble["width"] + 20
@@ -96,7 +96,7 @@ def test_what_was_pressed_is_clicked_whatever_happens_before_the_release(
     page.mouse.down()
     width = anna.by("picture").bounding_box()["width"]
     page.set_viewport_size({"width": 1000, "height": 700})
-    with page.expect_response(lambda said: f"/frames/{simulated.newest - 1}/features" in said.url):
+    with page.expect_response(lambda reported: f"/frames/{simulated.newest - 1}/features" in reported.url):
         page.keyboard.press("ArrowLeft")
     page.keyboard.press("+")
     anna.wait_for_zoom(1.4)
@@ -247,8 +247,8 @@ def test_a_server_that_is_killed_and_started_again_has_lost_nothing(anna: Operat
     rows = [row.inner_text() for row in anna.by("pin").all()]
     anna.server.kill()
     anna.page.wait_for_selector("#offline", state="visible")
-    said = anna.click(100.0, 100.0)
-    assert said.startswith("Not kept")
+    reported = anna.click(100.0, 100.0)
+    assert reported.startswith("Not kept")
     anna.server.start(anna.server.port)
     anna.page.wait_for_selector("#offline", state="hidden")
     assert [row.inner_text() for row in anna.by("pin").all()] == rows
@@ -259,8 +259,8 @@ def test_a_server_that_is_killed_and_started_again_has_lost_nothing(anna: Operat
 
 def test_other_machines_need_the_token_and_the_first_page_is_small_and_its_own(serve: Serve, chromium: Any) -> None:
     server = serve("--host", "0.0.0.0")
-    assert "NO TLS" in server.said
-    assert "▄" in server.said  # the QR code
+    assert "NO TLS" in server.reported
+    assert "▄" in server.reported  # the QR code
     link, base = server.url, server.local
     assert "?token=" in link
     context = chromium.new_context()

@@ -128,8 +128,8 @@ def test_pictures_are_counted_as_they_come_and_revised_as_they_are_revised() -> 
     source.put(dataclasses.replace(level_set(9), status=Status.POOR_FIT, revision=2))
     seen.count(60.0)
     assert seen.at(*MIDDLE)["count"] == 10
-    said: list[dict[str, Any]] = seen.at(*MIDDLE)["pictures"]  # type: ignore[assignment]
-    assert [row["frame"] for row in said] == [0, 1, 2, 3, 4, 5, 6, 7, 8, 10]
+    reported: list[dict[str, Any]] = seen.at(*MIDDLE)["pictures"]  # type: ignore[assignment]
+    assert [row["frame"] for row in reported] == [0, 1, 2, 3, 4, 5, 6, 7, 8, 10]
 
 
 def test_of_very_many_pictures_some_are_named_and_all_are_counted() -> None:
@@ -137,9 +137,9 @@ def test_of_very_many_pictures_some_are_named_and_all_are_counted() -> None:
     seen = SeenMap(source)
     source.put(*(level_set(k, at_s=0.2 * k) for k in range(200)))
     seen.count(60.0)
-    said = seen.at(*MIDDLE)
-    rows: list[dict[str, Any]] = said["pictures"]  # type: ignore[assignment]
-    assert (said["count"], len(rows), rows[0]["frame"], rows[-1]["frame"]) == (200, LISTED, 0, 199)
+    reported = seen.at(*MIDDLE)
+    rows: list[dict[str, Any]] = reported["pictures"]  # type: ignore[assignment]
+    assert (reported["count"], len(rows), rows[0]["frame"], rows[-1]["frame"]) == (200, LISTED, 0, 199)
     assert len({row["frame"] for row in rows}) == LISTED
 
 
@@ -167,9 +167,9 @@ def test_the_pictures_of_a_place_are_found_within_50_ms_after_an_hour() -> None:
     for k in range(9):
         lat, lon, _ = (float(c) for c in PLACE.to_geodetic((0.5 * k, 1.0, 0.0)))
         began_s = time.perf_counter()
-        said = seen.at(lat, lon)
+        reported = seen.at(lat, lon)
         took_ms.append(1000.0 * (time.perf_counter() - began_s))
-        rows: list[dict[str, Any]] = said["pictures"]  # type: ignore[assignment]
+        rows: list[dict[str, Any]] = reported["pictures"]  # type: ignore[assignment]
         assert len(rows) == LISTED and rows[-1]["frame"] > 0.99 * HOUR_PICTURES
     assert sorted(took_ms)[4] < 3.0 * 50.0
 
@@ -202,12 +202,12 @@ def test_a_place_on_the_map_leads_to_the_pictures_that_show_it(anna: Operator, s
     place = anna.newest_pin()["place"]
     found = anna.ask(f"api/seen/at?lat={place['lat_deg']}&lon={place['lon_deg']}")
     assert int(first) in [row["frame"] for row in found["pictures"]]
-    said = anna.ask(
+    reported = anna.ask(
         f"api/vehicles/{simulated.vehicle}/frames/{first}/pixel?lat={place['lat_deg']}&lon={place['lon_deg']}"
     )
     click = anna.newest_pin()["clicks"][0]
-    assert said["u_px"] == pytest.approx(click["u_px"], abs=0.5)
-    assert said["v_px"] == pytest.approx(click["v_px"], abs=0.5)
+    assert reported["u_px"] == pytest.approx(click["u_px"], abs=0.5)
+    assert reported["v_px"] == pytest.approx(click["v_px"], abs=0.5)
     page.get_by_test_id("seen-by").select_option("count")
     assert "20 or more" in page.locator(".seen-legend").inner_text()
     page.get_by_test_id("show-seen").click()

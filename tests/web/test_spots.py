@@ -193,9 +193,9 @@ def test_a_fire_is_an_area_on_the_map_with_its_words(flying: Callable[[], tuple[
     page.get_by_test_id("fire-minutes").select_option("15")
     page.wait_for_function("() => document.querySelector('[data-testid=fire-words]').textContent.includes('fire of')")
     assert "surely" in anna.by("fire-words").inner_text() and "perimeter" in anna.by("fire-words").inner_text()
-    said = anna.ask("api/fire?minutes=15")
-    assert [f["properties"]["kind"] for f in said["features"]] == ["perhaps", "burned", "surely"]
-    assert said["features"][1]["properties"]["area_m2"] == pytest.approx(600.0, rel=0.1)
+    reported = anna.ask("api/fire?minutes=15")
+    assert [f["properties"]["kind"] for f in reported["features"]] == ["perhaps", "burned", "surely"]
+    assert reported["features"][1]["properties"]["area_m2"] == pytest.approx(600.0, rel=0.1)
     assert page.request.get(f"{flight.local}api/fire?minutes=-1").status == 422
     page.get_by_test_id("show-fire").click()
     assert anna.by("fire-panel").is_hidden()

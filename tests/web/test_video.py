@@ -333,7 +333,7 @@ def test_without_opencv_the_extra_is_named(
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "output"),
     [
         (["--video", "{folder}/none.avi"], "none.avi: there is no such file"),
         (["--video", "{folder}/session.mcap"], "session.mcap: cannot be opened; is it a video"),
@@ -344,7 +344,7 @@ def test_without_opencv_the_extra_is_named(
 )
 def test_a_video_that_cannot_be_used_is_one_line(
     arguments: list[str],
-    said: str,
+    output: str,
     monkeypatch: pytest.MonkeyPatch,
     capfd: pytest.CaptureFixture[str],
     tmp_path: Path,
@@ -353,7 +353,7 @@ def test_a_video_that_cannot_be_used_is_one_line(
     monkeypatch.setattr(command, "STATIC", tmp_path)
     record_rendered(tmp_path / "session.mcap", pictures=2)
     filled = [argument.format(folder=tmp_path) for argument in arguments]
-    assert said in one_line(capfd, "--port", "0", "--from", str(tmp_path / "session.mcap"), *filled)
+    assert output in one_line(capfd, "--port", "0", "--from", str(tmp_path / "session.mcap"), *filled)
 
 
 @pytest.mark.parametrize("address", ["rtsp://a:b@127.0.0.1:9/x", "/dev/video63"])

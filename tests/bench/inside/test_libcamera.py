@@ -71,13 +71,13 @@ def test_its_pictures_come_in_every_size_with_the_drivers_stamps(device: str, si
     assert min(delays_ms) > 0.0
 
 
-def test_a_size_it_does_not_have_is_said_in_one_line() -> None:
+def test_a_size_it_does_not_have_is_reported_in_one_line() -> None:
     with running("libcamera:", size_px=(640, 480)) as camera:
         health = camera.wait_for(State.LOST, "cannot give 640x480")
     assert "\n" not in health.detail and not camera.frames
 
 
-def test_an_unknown_camera_is_said_in_one_line_with_the_one_that_is_there() -> None:
+def test_an_unknown_camera_is_reported_in_one_line_with_the_one_that_is_there() -> None:
     with running("libcamera:imx219", size_px=SIZE_PX) as camera:
         camera.wait_for(State.LOST, f"libcamera:imx219: libcamera has no camera 'imx219', but '{CAMERA}'")
     assert not camera.frames
@@ -105,7 +105,7 @@ def test_an_unplugged_camera_is_lost_and_taken_up_again() -> None:
     assert members(group) == []
 
 
-def test_a_camera_slower_than_asked_is_said() -> None:
+def test_a_camera_slower_than_asked_is_reported() -> None:
     with running("libcamera:", size_px=SIZE_PX, rate_hz=30.0) as camera:
         camera.wait_for_pictures(10)
         control(vertical_blanking=65535)  # 0.4 s a picture

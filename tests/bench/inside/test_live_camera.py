@@ -217,7 +217,7 @@ def test_a_size_the_device_does_not_have_is_one_line_with_what_it_has() -> None:
     assert "\n" not in str(error)
 
 
-def test_stamps_of_a_players_own_clock_are_replaced_by_the_arrival_and_said() -> None:
+def test_stamps_of_a_players_own_clock_are_replaced_by_the_arrival_and_reported() -> None:
     def stamp_ns(number: int) -> int:
         return 5_000_000_000 + number * 20_000_000
 

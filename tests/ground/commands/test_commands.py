@@ -54,8 +54,8 @@ def pins(tmp_path: Path) -> str:
 
 def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
     status = main([str(a) for a in arguments])
-    said = capsys.readouterr()
-    return status, said.out, said.err
+    printed = capsys.readouterr()
+    return status, printed.out, printed.err
 
 
 def answer(frame: int, u: float, v: float) -> Fix:
@@ -88,10 +88,10 @@ def test_lines_of_standard_input_are_answered_one_by_one(
 ) -> None:
     monkeypatch.setattr("sys.stdin", io.StringIO("300 200\n\n# nothing\n3 300 200  # the tent\n12,1,2\n"))
     status, out, err = run(capsys, "click", "--from", session, "--format", "json")
-    said = [json.loads(line) for line in out.splitlines()]
+    printed = [json.loads(line) for line in out.splitlines()]
     assert (status, err) == (0, "")
-    assert [(a["status"], a["frame"]) for a in said] == [("ok", 11), ("ok", 3), ("turning", 12)]
-    assert said[1]["lat_deg"] == pytest.approx(answer(3, 300.0, 200.0).lat_deg, abs=1e-9)
+    assert [(a["status"], a["frame"]) for a in printed] == [("ok", 11), ("ok", 3), ("turning", 12)]
+    assert printed[1]["lat_deg"] == pytest.approx(answer(3, 300.0, 200.0).lat_deg, abs=1e-9)
 
 
 @pytest.mark.parametrize("form", ["csv", "geojson", "kml"])
@@ -171,42 +171,42 @@ def test_measuring_in_one_picture_and_in_two(session: str, capsys: pytest.Captur
 
 
 def test_the_life_of_pins(session: str, pins: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    def said(*arguments: object, status: int = 0) -> str:
+    def printed(*arguments: object, status: int = 0) -> str:
         got, out, err = run(capsys, "pins", *arguments, "--pins", pins)
         assert got == status, err
         return out + err
 
     at = ("--frame", 3, "--from", session)
-    assert "1  person  tent" in said("add", 300, 200, *at, "--name", "tent", "--category", "person")
-    assert "accuracy not known" in said("add", "--at", "-35.36,149.16", "--name", "=gate")
-    assert "(CE90)" in said("add", "--at", "-35.361,149.161", "--ce90", 4, "--name", "hut")
-    said("add", 1, 2, "--frame", 12, "--from", session, status=3)
-    said("add", "--to", 9, 300, 200, *at, status=2)
-    assert len(said("list").splitlines()) == 3
-    assert len(said("list", "--category", "person").splitlines()) == 1
-    assert json.loads(said("list", "--format", "json", "--text", "TENT"))["ce90_m"] > 1.0
-    assert "deg" in said("measure", 1, 3) and "has no" not in said("measure", 1, 3)
+    assert "1  person  tent" in printed("add", 300, 200, *at, "--name", "tent", "--category", "person")
+    assert "accuracy not known" in printed("add", "--at", "-35.36,149.16", "--name", "=gate")
+    assert "(CE90)" in printed("add", "--at", "-35.361,149.161", "--ce90", 4, "--name", "hut")
+    printed("add", 1, 2, "--frame", 12, "--from", session, status=3)
+    printed("add", "--to", 9, 300, 200, *at, status=2)
+    assert len(printed("list").splitlines()) == 3
+    assert len(printed("list", "--category", "person").splitlines()) == 1
+    assert json.loads(printed("list", "--format", "json", "--text", "TENT"))["ce90_m"] > 1.0
+    assert "deg" in printed("measure", 1, 3) and "has no" not in printed("measure", 1, 3)
     file = tmp_path / "all.geojson"
-    assert "3 pins" in said("export", file)
-    before = said("export")
-    said("edit", 1, "--name", "big tent")
-    assert "big tent" in said("list")
-    assert "undone: pin 1 edited" in said("undo") and "done again" in said("redo")
-    said("undo")
-    said("clear")
-    assert said("list") == ""
-    assert "3 pins imported" in said("import", file)
-    again = json.loads(said("export"))["features"]
+    assert "3 pins" in printed("export", file)
+    before = printed("export")
+    printed("edit", 1, "--name", "big tent")
+    assert "big tent" in printed("list")
+    assert "undone: pin 1 edited" in printed("undo") and "done again" in printed("redo")
+    printed("undo")
+    printed("clear")
+    assert printed("list") == ""
+    assert "3 pins imported" in printed("import", file)
+    again = json.loads(printed("export"))["features"]
     assert [{**f["pointclick"]["pin"], "modified_unix_ns": 0} for f in again] == [
         {**f["pointclick"]["pin"], "modified_unix_ns": 0} for f in json.loads(before)["features"]
     ]
     for kind in ("kml", "gpx", "csv"):
-        said("export", tmp_path / f"all.{kind}")
+        printed("export", tmp_path / f"all.{kind}")
     for kind in ("kml", "gpx", "csv"):
-        assert "3 pins imported" in said("import", tmp_path / f"all.{kind}")
-    assert len(said("list").splitlines()) == 12
-    assert "which format" in said("export", tmp_path / "all.xyz", status=2)
-    assert "nothing to undo" in [said("undo") for _ in range(20)][-1]
+        assert "3 pins imported" in printed("import", tmp_path / f"all.{kind}")
+    assert len(printed("list").splitlines()) == 12
+    assert "which format" in printed("export", tmp_path / "all.xyz", status=2)
+    assert "nothing to undo" in [printed("undo") for _ in range(20)][-1]
 
 
 def test_a_tie_on_the_command_line(session: str, pins: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -285,12 +285,12 @@ def test_pins_and_aircraft_go_out_as_events(
 @pytest.mark.parametrize(
     "to", ["http://x:1", "udp://", "tcp://host", "tcp://h:99999", "tcp://h:x", "", "udp://h:1/path", "tcp://[:1"]
 )
-def test_a_wrong_address_is_said(to: str, pins: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_wrong_address_is_reported(to: str, pins: str, capsys: pytest.CaptureFixture[str]) -> None:
     status, _, err = run(capsys, "cot", "--to", to, "--once", "--only-pins", "--pins", pins)
     assert status == 2 and "udp://239.2.3.1:6969" in err and len(err.splitlines()) == 1
 
 
-def test_no_one_at_the_other_end_is_said(pins: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_one_at_the_other_end_is_reported(pins: str, capsys: pytest.CaptureFixture[str]) -> None:
     status, _, err = run(capsys, "cot", "--to", "tcp://127.0.0.1:9", "--once", "--only-pins", "--pins", pins)
     assert status == 2 and "does somebody listen there" in err
 
@@ -359,7 +359,7 @@ def test_the_interval_of_a_coverage_is_clopper_and_pearsons() -> None:
     ["frame,u,v\n1,2,3\n", "u,v,lat_deg,lon_deg\n", "frame,u,v,lat_deg,lon_deg\n1,2,3,95,0\n",
      "frame,u,v,lat_deg,lon_deg\n1,2,x,5,0\n", "frame,u,v,lat_deg,lon_deg\n-1,2,3,5,0\n", "\x00", ""],
 )  # fmt: skip
-def test_marks_that_make_no_sense_are_said(
+def test_marks_that_make_no_sense_are_reported(
     session: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], content: str
 ) -> None:
     path = tmp_path / "marks.csv"

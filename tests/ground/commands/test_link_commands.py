@@ -64,18 +64,20 @@ def test_what_was_recorded_from_the_link_answers_like_the_aircraft(
     link: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     tries = iter(range(1000))
-    folder, said = tmp_path, ""
+    folder, printed = tmp_path, ""
 
     def is_all_there() -> bool:
         """In little more than a second; into another folder, where a busy machine received less by then."""
-        nonlocal folder, said
+        nonlocal folder, printed
         folder = tmp_path / f"new {next(tries)}" / "folder"
         assert main(["record", "--to", str(folder), "--seconds", "1.2", "--connect", link]) == 0
-        said = capsys.readouterr().out
-        return "none of ours" in said and any(folder.iterdir()) and len(Recording(folder).frames("uav-1")) == len(SETS)
+        printed = capsys.readouterr().out
+        return (
+            "none of ours" in printed and any(folder.iterdir()) and len(Recording(folder).frames("uav-1")) == len(SETS)
+        )
 
     assert eventually(is_all_there)
-    assert "uav-1-7.001.mcap" in said
+    assert "uav-1-7.001.mcap" in printed
     assert [p.name for p in folder.iterdir()] == ["uav-1-7.001.mcap"]
     recording = Recording(folder)
     assert recording.frames("uav-1") == list(range(8)) and not recording.damage
@@ -115,7 +117,7 @@ def test_a_killed_recorder_loses_nothing(tmp_path: Path) -> None:
     recorder.__exit__(None, None, None)
 
 
-def test_a_folder_that_cannot_be_used_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_folder_that_cannot_be_used_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "file").write_text("x")
     assert main(["record", "--to", str(tmp_path / "file" / "below"), "--connect", "tcp/127.0.0.1:9"]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1
@@ -166,12 +168,12 @@ def test_lines_are_answered_from_the_link(
     """No one answers queries there: one line says so, for each line asked."""
     import io  # noqa: PLC0415
 
-    def is_said() -> bool:
+    def is_reported() -> bool:
         monkeypatch.setattr("sys.stdin", io.StringIO("1 2\n"))
         assert main(["click", "--connect", link]) == 2
         return "line 1: no aircraft answers" in capsys.readouterr().err
 
-    assert eventually(is_said)
+    assert eventually(is_reported)
 
 
 def test_events_reach_a_tak_server_over_tls_and_no_other(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -28,7 +28,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def said(capsys: pytest.CaptureFixture[str], *words: object) -> str:
+def printed(capsys: pytest.CaptureFixture[str], *words: object) -> str:
     assert main(["seen", *map(str, words)]) == 0
     return capsys.readouterr().out
 
@@ -41,7 +41,7 @@ def by_kind(path: Path) -> dict[str, list[dict[str, Any]]]:
 
 
 def test_it_says_how_much_was_seen_and_where_the_gaps_are(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    lines = said(capsys, "--from", session, "--cell", 1).splitlines()
+    lines = printed(capsys, "--from", session, "--cell", 1).splitlines()
     assert lines[0].startswith("seen: 1.65 ha in 4 pictures of uav, 2023-11-14T22:13:20Z to 2023-11-14T22:13:23Z")
     assert lines[1] == "seen in one picture only: 66.7 %"
     assert "0.136 to 0.136 m" in lines[2]
@@ -94,10 +94,10 @@ def test_the_searched_area_is_the_polygon_that_is_given(
     area = tmp_path / "area.geojson"
     feature = {"type": "Feature", "properties": {}, "geometry": {"type": "Polygon", "coordinates": [ring]}}
     area.write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
-    said_lines = said(capsys, "--from", session, "--cell", 0.5, "--polygon", area)
-    assert "searched area (as given): 4000 m2" in said_lines.replace("0.40 ha", "4000 m2")
+    reported_lines = printed(capsys, "--from", session, "--cell", 0.5, "--polygon", area)
+    assert "searched area (as given): 4000 m2" in reported_lines.replace("0.40 ha", "4000 m2")
     share = 100.0 * (20.0 + HIGH_M / 2) / 100.0
-    assert f"seen {share:.0f}"[:6] in said_lines and "1 gap" in said_lines
+    assert f"seen {share:.0f}"[:6] in reported_lines and "1 gap" in reported_lines
 
 
 @pytest.mark.parametrize(

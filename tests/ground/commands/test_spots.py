@@ -95,7 +95,7 @@ def test_wrong_usage_and_nothing_found_are_a_line(tmp_path: Path, capsys: pytest
     ]  # fmt: skip
 
 
-def test_live_a_thing_is_said_when_it_is_sure_and_again_when_it_has_changed(
+def test_live_a_thing_is_reported_when_it_is_sure_and_again_when_it_has_changed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     endpoint, ended = free_endpoint(), threading.Event()
@@ -117,12 +117,12 @@ def test_live_a_thing_is_said_when_it_is_sure_and_again_when_it_has_changed(
         try:
             received: list[str] = []
 
-            def is_said() -> bool:
+            def is_reported() -> bool:
                 main(["spots", "--connect", endpoint, "--seconds", "2", "--json"])
                 received[:] = capsys.readouterr().out.splitlines()
                 return len({json.loads(line)["spot"] for line in received}) >= 2
 
-            assert eventually(is_said), received
+            assert eventually(is_reported), received
             rows = [json.loads(line) for line in received]
             assert all(row["pictures"] > 1 for row in rows)
 
@@ -136,7 +136,7 @@ def test_live_a_thing_is_said_when_it_is_sure_and_again_when_it_has_changed(
             thread.join(5.0)
 
 
-def test_what_is_said_again_is_another_place_or_heat_or_movement() -> None:
+def test_what_is_reported_again_is_another_place_or_heat_or_movement() -> None:
     merger = SpotMerger()
     for report in reports():
         merger.add(report)

@@ -219,8 +219,8 @@ def test_what_is_followed_is_watched_and_recorded_from_the_link(
                 nonlocal folder
                 folder = tmp_path / f"try {next(tries)}"
                 assert main(["record", "--to", str(folder), "--seconds", "0.8", "--connect", endpoint]) == 0
-                said = capsys.readouterr().out
-                return "uav-1-1700000000.001.mcap" in said and bool(Recording(folder).tracks("uav-1"))
+                printed = capsys.readouterr().out
+                return "uav-1-1700000000.001.mcap" in printed and bool(Recording(folder).tracks("uav-1"))
 
             assert eventually(is_recorded)
         finally:

@@ -68,8 +68,8 @@ def test_the_file_of_pins_may_be_named_before_the_action_or_after(
     pins = str(tmp_path / "pins.sqlite")
     assert main(["pins", "--pins", pins, "--who", "ann", *PIN[1:]]) == 0
     assert main(["pins", "--pins", pins, "list", "--format", "json"]) == 0
-    said = capsys.readouterr().out
-    assert '"gate"' in said and '"who": "ann"' in said
+    printed = capsys.readouterr().out
+    assert '"gate"' in printed and '"who": "ann"' in printed
     assert main(["pins", "list", "--pins", pins]) == 0
     assert "gate" in capsys.readouterr().out
 

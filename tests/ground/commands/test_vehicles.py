@@ -98,7 +98,7 @@ def test_state_and_age_come_from_what_is_sent_anyway_and_who_goes_is_gone(router
         presence = Presence(session)
         assert eventually(lambda: len(presence.now()) == MANY)
 
-        said_s = time.monotonic()
+        reported_s = time.monotonic()
 
         def received(name: str, state: str) -> bool:
             fleet[3].say(state)
@@ -108,7 +108,7 @@ def test_state_and_age_come_from_what_is_sent_anyway_and_who_goes_is_gone(router
         assert eventually(lambda: received("uav-03", "no_gps"))
         (one,) = (p for p in presence.now() if p.vehicle == "uav-03")
         assert one.is_there and one.status_age_s is not None
-        assert 0.0 <= one.status_age_s < time.monotonic() - said_s + 0.1
+        assert 0.0 <= one.status_age_s < time.monotonic() - reported_s + 0.1
         fleet[3].session.close()  # type: ignore[no-untyped-call]
         assert eventually(lambda: [p.vehicle for p in presence.now() if not p.is_there] == ["uav-03"])
         assert eventually(lambda: len(there := vehicles_there(session)) == MANY - 1 and "uav-03" not in there)
@@ -124,8 +124,8 @@ def test_a_click_that_names_no_aircraft_among_many_asks_no_one(
 
     def is_refused() -> bool:
         assert main(click) == 2
-        said = capsys.readouterr().err
-        return "several aircraft are at" in said and "--vehicle" in said and "uav-07" in said
+        printed = capsys.readouterr().err
+        return "several aircraft are at" in printed and "--vehicle" in printed and "uav-07" in printed
 
     assert eventually(is_refused)
     assert [a.asked for a in fleet] == [0] * MANY

@@ -28,7 +28,7 @@ def test_every_usual_way_of_writing_one_place_is_read_as_that_place(text: str) -
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "reported"),
     [
         ("-43,38", "decimal"), ("-43,172", "decimal"), ("-43,38,172,40", "decimal"), ("-43,5 172", "decimal"),
         ("43,38S,172,40E", "decimal"), ("43 22 48 172 24 0", "hemisphere"), ("43.38S 172.40", "hemisphere"),
@@ -43,8 +43,8 @@ def test_every_usual_way_of_writing_one_place_is_read_as_that_place(text: str) -
         ("43.5°22'N 7°1'E", "not"), ("1e5, 2", "one number"), ("١٢ ١٣", "not"),
     ],
 )  # fmt: skip
-def test_what_has_two_readings_or_none_is_refused_in_a_line(text: str, said: str) -> None:
-    with pytest.raises(InputError, match=said) as caught:
+def test_what_has_two_readings_or_none_is_refused_in_a_line(text: str, reported: str) -> None:
+    with pytest.raises(InputError, match=reported) as caught:
         read_coordinate(text)
     assert len(str(caught.value).splitlines()) == 1 and len(str(caught.value)) < 200
 

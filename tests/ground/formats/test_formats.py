@@ -219,8 +219,8 @@ def test_any_epsg_system_with_its_own_names_and_accuracy() -> None:
     assert (p.x, p.y, p.x_name, p.y_name) == (pytest.approx(x), pytest.approx(y), "E", "N")
     swiss = Projection("EPSG:21781").of(Mark("m", "m", "ok", lat_deg=47.0, lon_deg=8.0))
     assert (swiss.x_name, swiss.y_name) == ("Y", "X") and swiss.accuracy_m is not None and swiss.accuracy_m > 0.5
-    for code, said in (("EPSG:99999999", "EPSG:2193"), ("EPSG:4978", "two horizontal"), ("'; DROP", "EPSG:2193")):
-        with pytest.raises(InputError, match=said):
+    for code, reported in (("EPSG:99999999", "EPSG:2193"), ("EPSG:4978", "two horizontal"), ("'; DROP", "EPSG:2193")):
+        with pytest.raises(InputError, match=reported):
             Projection(code)
     with pytest.raises(InputError, match="does not reach"):
         Projection("EPSG:27700").of(mark)
@@ -292,7 +292,7 @@ BOMB = '<!DOCTYPE x [<!ENTITY a "aaaaaaaaaa">]><kml><Document><name>&a;</name></
         ("a.txt", b"x"), ("nothing.kml", None),
     ],
 )  # fmt: skip
-def test_a_file_that_cannot_be_read_is_said_in_a_line(tmp_path: Path, name: str, content: bytes | None) -> None:
+def test_a_file_that_cannot_be_read_is_reported_in_a_line(tmp_path: Path, name: str, content: bytes | None) -> None:
     path = tmp_path / name
     if content is not None:
         path.write_bytes(content)

@@ -44,15 +44,15 @@ def test_a_table_of_any_usual_kind_gives_the_same_place(data: bytes) -> None:
 
 
 @pytest.mark.parametrize(
-    ("data", "said"),
+    ("data", "reported"),
     [
         (b"name,x,y\n1,2,3\n", "lat and lon"), (b"", "lat and lon"), (b"lat;lon\n1;x\n", "line 2"),
         (b"lat;lon\n1,5;\n", "line 2"), (b"lat,lon\n91,0\n", "line 2"), (b"lat,lon\nnan,0\n", "line 2"),
         (b"lat,lon,ce90_m\n1,2,wide\n", "ce90_m"), (b'lat,lon\n"1,2\n', "CSV"),
     ],
 )  # fmt: skip
-def test_a_table_that_cannot_be_read_names_its_line(data: bytes, said: str) -> None:
-    with pytest.raises(InputError, match=said):
+def test_a_table_that_cannot_be_read_names_its_line(data: bytes, reported: str) -> None:
+    with pytest.raises(InputError, match=reported):
         table.read(data)
 
 
@@ -97,7 +97,7 @@ def test_a_marker_of_tak_is_a_pin_and_aircraft_and_chat_are_not() -> None:
         '<!DOCTYPE e [<!ENTITY a "b">]>' + TAK, TAK[:-9], "\xff",
     ],
 )  # fmt: skip
-def test_what_is_no_event_is_said_in_a_line(text: str) -> None:
+def test_what_is_no_event_is_reported_in_a_line(text: str) -> None:
     with pytest.raises(InputError, match=r"x\.cot") as caught:
         read_pins_of("x.cot", text.encode("latin-1"))
     assert len(str(caught.value).splitlines()) == 1

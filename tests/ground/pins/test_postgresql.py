@@ -36,7 +36,7 @@ def rows(url: str, statement: str) -> list[tuple[Any, ...]]:
         return found.fetchall() if found.description else []
 
 
-def test_a_server_that_was_gone_is_said_in_a_line_and_found_again(url: str, postgresql: postgres.Server) -> None:
+def test_a_server_that_was_gone_is_reported_in_a_line_and_found_again(url: str, postgresql: postgres.Server) -> None:
     with PinStore(url) as store:
         pin = store.add([typed()], name="before")
         postgresql.stop()
@@ -132,11 +132,11 @@ def test_what_names_no_server_is_refused_in_a_line(tmp_path: Path, capsys: pytes
         chosen_store(None, "mysql://h/d")
     nowhere = f"postgresql://ann:secret-word@/d?host={tmp_path}&password=secret-word"
     assert main(["pins", "list", "--store", nowhere]) == 2
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1 and "secret-word" not in said and str(tmp_path) in said
+    printed = capsys.readouterr().err
+    assert printed.count("\n") == 1 and "secret-word" not in printed and str(tmp_path) in printed
 
 
-def test_without_the_extra_it_is_said_what_to_install() -> None:
+def test_without_the_extra_it_is_reported_what_to_install() -> None:
     program = (
         "import sys; sys.modules['psycopg'] = None\n"
         "from ground.__main__ import main\n"

@@ -231,13 +231,13 @@ def test_whatever_others_send_is_refused_counted_and_does_no_harm(ann: PinStore,
             """Said again until all have been counted: the link may drop what it has no room for."""
             before = sharing.state.refused + sharing.state.unreadable
 
-            def said() -> bool:
+            def printed() -> bool:
                 for payload in payloads:
                     liar.put(f"pc/pins/{LIAR}/{kind}", payload)
                 time.sleep(0.2)
                 return sharing.state.refused + sharing.state.unreadable >= before + len(payloads)
 
-            return eventually(said)
+            return eventually(printed)
 
         assert is_refused("changed", hostile_pins())
         beat = json.loads(messages.announcement_to_bytes(messages.Announcement(LIAR, 1, 5, NOW_NS)))
@@ -335,8 +335,8 @@ def test_reading_messages_raises_nothing_but_input_errors(junk: bytes, value: ob
 def test_messages_come_back_as_they_were() -> None:
     pins = many(5)
     assert [messages.pin_from_bytes(messages.pin_to_bytes(p)).to_dict() for p in pins] == [p.to_dict() for p in pins]
-    said = messages.Announcement(LIAR, 12, 2**64 - 1, NOW_NS)
-    assert messages.announcement_from_bytes(messages.announcement_to_bytes(said)) == said
+    printed = messages.Announcement(LIAR, 12, 2**64 - 1, NOW_NS)
+    assert messages.announcement_from_bytes(messages.announcement_to_bytes(printed)) == printed
     assert messages.server_of(f"pc/pins/{LIAR}/said") == (LIAR, "said")
     versions = {p.id: messages.version_of(p) for p in many(2000)}
     parts = list(messages.summaries(versions))
@@ -352,7 +352,7 @@ def test_messages_come_back_as_they_were() -> None:
         messages.pin_to_bytes(dataclasses.replace(one, clicks=tuple([clicked()] * 400)))
 
 
-def test_a_port_in_use_is_said_and_without_endpoints_nothing_is_shared(ann: PinStore, bob: PinStore) -> None:
+def test_a_port_in_use_is_reported_and_without_endpoints_nothing_is_shared(ann: PinStore, bob: PinStore) -> None:
     endpoint = free_endpoint()
     assert share_pins(ann) is None
     first = share_pins(ann, listen=[endpoint])

@@ -88,11 +88,11 @@ def test_everything_can_be_undone_and_redone(path: Path | str) -> None:
         store.remove_click(pin.id, pin.clicks[0].id)
         store.delete(pin.id)
         states = [_state(store)]
-        said = []
+        printed = []
         while (what := store.undo()) is not None:
-            said.append(what)
+            printed.append(what)
             states.append(_state(store))
-        assert said == [
+        assert printed == [
             "pin 1 deleted", "pin 1 lost a click", "pin 1 got a click", "pin 1 edited", "pin 1 added",
         ]  # fmt: skip
         assert states == [[], [("b", 1)], [("b", 2)], [("b", 1)], [("a", 1)], []]
@@ -172,12 +172,12 @@ def test_what_was_answered_survives_kill_9(path: Path | str) -> None:
     PinStore(path).close()
     process = _writer(path, 100_000)
     assert process.stdout is not None
-    said = [int(process.stdout.readline()) for _ in range(40)]
+    printed = [int(process.stdout.readline()) for _ in range(40)]
     os.kill(process.pid, signal.SIGKILL)
-    said += [int(line) for line in process.communicate()[0].split() if line]
+    printed += [int(line) for line in process.communicate()[0].split() if line]
     with PinStore(path) as store:
         numbers = [pin.number for pin in store.pins()]
-        assert set(said) <= set(numbers)
+        assert set(printed) <= set(numbers)
         assert numbers == list(range(1, len(numbers) + 1))
         assert all(store.crop(pin.clicks[0].id) == b"c" * 5000 for pin in store.pins())
         assert store.add([typed()]).number == len(numbers) + 1
@@ -267,7 +267,7 @@ def test_what_was_computed_is_kept_until_something_changes(path: Path | str, mon
 
 
 @pytest.mark.parametrize("content", [b"no database at all" * 100, b""])
-def test_a_file_of_something_else_is_said_in_a_line(tmp_path: Path, content: bytes) -> None:
+def test_a_file_of_something_else_is_reported_in_a_line(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "f"
     path.write_bytes(content)
     if not content:  # an empty file may become one
@@ -290,7 +290,7 @@ def test_anothers_database_is_left_alone(tmp_path: Path) -> None:
         PinStore(path / "below")
 
 
-def test_a_damaged_document_is_said_in_a_line(file: Path) -> None:
+def test_a_damaged_document_is_reported_in_a_line(file: Path) -> None:
     with PinStore(file) as store:
         store.add([typed()])
     db = sqlite3.connect(file)
@@ -302,7 +302,7 @@ def test_a_damaged_document_is_said_in_a_line(file: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "printed"),
     [
         ({"id": "../../etc/passwd"}, "id"), ({"number": -1}, "number"), ({"number": True}, "number"),
         ({"name": 7}, "name"), ({"name": "n" * 201}, "201"), ({"name": "\ud800"}, "name"), ({"category": "x"}, "poi"),
@@ -310,10 +310,10 @@ def test_a_damaged_document_is_said_in_a_line(file: Path) -> None:
         ({"modified_unix_ns": 2**63}, "modified"), ({"is_deleted": 0}, "is_deleted"),
     ],
 )  # fmt: skip
-def test_a_pin_that_is_none_is_refused_by_its_field(change: dict[str, object], said: str, path: Path | str) -> None:
+def test_a_pin_that_is_none_is_refused_by_its_field(change: dict[str, object], printed: str, path: Path | str) -> None:
     with PinStore(path) as store:
         pin = store.add([clicked()])
-        with pytest.raises(InputError, match=said):
+        with pytest.raises(InputError, match=printed):
             Pin.from_dict({**pin.to_dict(), **change})
 
 

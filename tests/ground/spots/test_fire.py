@@ -167,8 +167,8 @@ def test_the_command_says_area_perimeter_and_spread_and_writes_the_polygons(
 ) -> None:
     flight = str(recorded(tmp_path / "flight"))
     assert main(["spots", "--fire", "--from", flight, "--minutes", "30", "--save", str(tmp_path / "fire.kml")]) == 0
-    said = capsys.readouterr().out
-    assert said.startswith("fire of 7") and "spreads with 0.05" in said and "in 12 pictures" in said
+    printed = capsys.readouterr().out
+    assert printed.startswith("fire of 7") and "spreads with 0.05" in printed and "in 12 pictures" in printed
     assert (tmp_path / "fire.kml").read_text().count("<Polygon>") == 3
     assert main(["spots", "--fire", "--from", flight, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["features"][1]["properties"]["area_m2"] > 600.0

@@ -84,7 +84,7 @@ def test_a_walker_is_one_thing_with_speed_and_course() -> None:
     assert "m/s towards" in found.to_text()
 
 
-def test_one_that_stands_is_at_rest_and_nothing_is_said_of_a_speed_at_once() -> None:
+def test_one_that_stands_is_at_rest_and_nothing_is_reported_of_a_speed_at_once() -> None:
     (early,) = merged(standing((0.0, 0.0)), 4, flight(2))
     assert early.course is None and "speed not known" in early.to_text()
     (later,) = merged(standing((0.0, 0.0)), 40, flight(2))

@@ -82,7 +82,7 @@ def test_a_stale_buffer_is_skipped() -> None:
     assert pictures.counts.skipped == 1
 
 
-def test_stamps_in_the_future_are_said() -> None:
+def test_stamps_in_the_future_are_reported() -> None:
     pictures = judge()
     assert offer(pictures, 0, age_ns=-33 * MS) is not None
     assert pictures.complaints() == ["stamps lie 33 ms in the future: calibrate camera.latency_s"]
@@ -121,7 +121,7 @@ def test_a_repeat_to_the_last_bit_bears_no_image() -> None:
     assert pictures.counts.repeated == 2
 
 
-def test_a_blank_picture_is_said_and_is_no_repeat() -> None:
+def test_a_blank_picture_is_reported_and_is_no_repeat() -> None:
     pictures = judge()
     black = bytearray(SIZE_PX[0] * SIZE_PX[1])
     frames = [offer(pictures, number, data=black) for number in range(3)]
@@ -129,7 +129,7 @@ def test_a_blank_picture_is_said_and_is_no_repeat() -> None:
     assert "single grey value" in pictures.complaints()[0]
 
 
-def test_a_damaged_buffer_bears_no_image_and_many_are_said() -> None:
+def test_a_damaged_buffer_bears_no_image_and_many_are_reported() -> None:
     pictures = judge()
     for number in range(4):
         frame = offer(pictures, number, flags=v4l2.BUF_FLAG_TIMESTAMP_MONOTONIC | v4l2.BUF_FLAG_ERROR)
@@ -143,7 +143,7 @@ def test_a_damaged_buffer_bears_no_image_and_many_are_said() -> None:
     assert pictures.complaints() == []
 
 
-def test_half_the_rate_is_said() -> None:
+def test_half_the_rate_is_reported() -> None:
     pictures = judge()
     for number in range(0, 120, 2):
         offer(pictures, number)

@@ -78,7 +78,7 @@ def test_nothing_is_touched_that_was_not_asked_for() -> None:
     assert lock.complaints == ["the camera focuses by itself, which spoils its calibration: set camera.focus"]
 
 
-def test_what_the_driver_does_not_have_is_said() -> None:
+def test_what_the_driver_does_not_have_is_reported() -> None:
     assert Lock(driver([]), ALL, 640).complaints == [
         "exposure 2000 us: the driver has no such control",
         "gain 20: the driver has no such control",
@@ -87,7 +87,7 @@ def test_what_the_driver_does_not_have_is_said() -> None:
     ]
 
 
-def test_a_value_out_of_range_is_clamped_and_said() -> None:
+def test_a_value_out_of_range_is_clamped_and_reported() -> None:
     device = driver()
     (complaint,) = Lock(device, Wanted(exposure_us=500_000.0, focus=30.0), 640).complaints
     assert complaint == "exposure 500000 us is outside of the driver's range: exposure 3 to 2047, set to 2047"
@@ -101,7 +101,7 @@ def test_values_fall_on_the_drivers_steps() -> None:
     assert ("focus", 30) in device.camera.writes
 
 
-def test_a_value_that_is_not_taken_is_said() -> None:
+def test_a_value_that_is_not_taken_is_reported() -> None:
     device = driver()
     device.automatic = {"gain": (control_lock.FOCUS_AUTO, 1)}  # refused for a reason of the driver's own
     (refused, read) = Lock(device, Wanted(gain=20.0), 640).complaints[1:]
@@ -109,7 +109,7 @@ def test_a_value_that_is_not_taken_is_said() -> None:
     assert read == "gain: gain reads 64 instead of 20"
 
 
-def test_a_value_taken_silently_and_not_kept_is_said() -> None:
+def test_a_value_taken_silently_and_not_kept_is_reported() -> None:
     device = driver()
     lock = Lock(device, Wanted(gain=20.0, focus=0.0), 640)
     assert lock.complaints == []
@@ -118,7 +118,7 @@ def test_a_value_taken_silently_and_not_kept_is_said() -> None:
     assert lock.check() == ["autogain is on again", "gain: gain reads 99 instead of 20"]
 
 
-def test_a_read_only_control_is_said() -> None:
+def test_a_read_only_control_is_reported() -> None:
     available = [control(control_lock.GAIN, "gain", 0, 255, default=20, flags=READ_ONLY)]
     assert Lock(driver(available), Wanted(gain=20.0), 640).complaints == ["gain 20 is not taken (gain is read-only)"]
 

@@ -377,28 +377,28 @@ def test_a_decoder_in_hardware_is_taken_first_and_others_are_left_to_be_tried(
         assert made[-1].properties == {"thread-type": "slice"}
 
 
-def test_without_any_decoder_it_is_said_which_package_has_one() -> None:
+def test_without_any_decoder_it_is_reported_which_package_has_one() -> None:
     with pytest.raises(Hopeless, match=r"no avdec_h265: sudo apt-get install gstreamer1.0-libav"):
         Player(Installed("avdec_h264"), None, {"kind": "rtsp"}, 1)._chain("H265")
 
 
-def test_which_decoders_there_are_is_said_before_a_flight(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_which_decoders_there_are_is_reported_before_a_flight(monkeypatch: pytest.MonkeyPatch) -> None:
     found = {"H264": ["v4l2h264dec", "avdec_h264"], "H265": ["avdec_h265"], "JPEG": []}
     monkeypatch.setattr(launching, "_ask", lambda spec: (json.dumps(found), ""))
-    said = "H264 by v4l2h264dec (hardware), else avdec_h264; H265 by avdec_h265; JPEG by nothing that is installed"
-    assert decoders_text() == said
+    printed = "H264 by v4l2h264dec (hardware), else avdec_h264; H265 by avdec_h265; JPEG by nothing that is installed"
+    assert decoders_text() == printed
     monkeypatch.setattr(launching, "_ask", lambda spec: ("", "GStreamer is not installed: sudo"))
     assert decoders_text() == "video of streams is not decoded: GStreamer is not installed: sudo"
 
 
 @pytest.mark.usefixtures("gstreamer")
 def test_this_computers_decoders_are_those_of_its_registry() -> None:
-    said = dict(part.split(" by ") for part in decoders_text().split("; "))
-    assert list(said) == ["H264", "H265", "JPEG", "MP4V-ES"]
-    assert "avdec_h264" in said["H264"] and "avdec_h265" in said["H265"] and "jpegdec" in said["JPEG"]
+    printed = dict(part.split(" by ") for part in decoders_text().split("; "))
+    assert list(printed) == ["H264", "H265", "JPEG", "MP4V-ES"]
+    assert "avdec_h264" in printed["H264"] and "avdec_h265" in printed["H265"] and "jpegdec" in printed["JPEG"]
 
 
-def test_without_gstreamer_it_is_said_what_to_install() -> None:
+def test_without_gstreamer_it_is_reported_what_to_install() -> None:
     done = subprocess.run(  # this Python has no bindings
         [sys.executable, "-I", str(HELPER)], input=b'{"kind": "list"}', capture_output=True, check=False
     )

@@ -251,7 +251,7 @@ def test_another_size_in_mid_stream_is_no_picture_of_ours(tmp_path: Path) -> Non
         camera.wait_for(State.OK, "64x48")
 
 
-def test_another_rate_in_mid_stream_is_said_and_costs_no_picture(tmp_path: Path) -> None:
+def test_another_rate_in_mid_stream_is_reported_and_costs_no_picture(tmp_path: Path) -> None:
     acts = "rate:60 frames:70 rate:10 frames:@slow rate:60 frames:9000"
     with running(scripted(tmp_path, acts), rate_hz=30.0) as camera:
         camera.wait_for(State.OK, "64x48")

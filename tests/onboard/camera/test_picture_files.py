@@ -121,7 +121,7 @@ def test_stamps_from_a_csv_come_first(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "reported"),
     [
         ("x.jpg,1533430852\n", "line 1 must be the header 'file,unix_time_s'"),
         ("", "line 1 must be the header"),
@@ -136,14 +136,14 @@ def test_stamps_from_a_csv_come_first(tmp_path: Path) -> None:
         ("file,unix_time_s\nx.jpg,1533430852\ny.jpg,1533430852\n", "x.jpg and y.jpg have the same capture time"),
     ],
 )
-def test_a_wrong_csv_is_refused_with_its_line(tmp_path: Path, text: str, said: str) -> None:
+def test_a_wrong_csv_is_refused_with_its_line(tmp_path: Path, text: str, reported: str) -> None:
     for name in ("x.jpg", "y.jpg"):
         picture(tmp_path / name)
     csv = tmp_path / "stamps.csv"
     csv.write_text(text)
     with pytest.raises(InputError) as caught:
         open_frames(tmp_path, CAMERA, csv)
-    assert said in str(caught.value)
+    assert reported in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
@@ -238,7 +238,7 @@ def test_a_video_s_name_gives_its_start(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("rows", "said"),
+    ("rows", "reported"),
     [
         ("0,1533430852\n9,1533430853\n", "index '9' is not 0 to 4"),
         ("0,1533430852\nx,1533430853\n", "index 'x' is not 0 to 4"),
@@ -246,10 +246,10 @@ def test_a_video_s_name_gives_its_start(tmp_path: Path) -> None:
         ("".join(f"{i},{UNIX_S - i}\n" for i in range(5)), "times must increase"),
     ],
 )
-def test_a_video_s_wrong_csv_is_refused(tmp_path: Path, rows: str, said: str) -> None:
+def test_a_video_s_wrong_csv_is_refused(tmp_path: Path, rows: str, reported: str) -> None:
     csv = tmp_path / "stamps.csv"
     csv.write_text("index,unix_time_s\n" + rows)
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=reported):
         open_frames(video(tmp_path / "clip.avi"), CAMERA, csv)
 
 

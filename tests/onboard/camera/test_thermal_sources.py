@@ -79,10 +79,10 @@ def test_of_a_v4l2_device_the_sixteen_bits_are_taken_though_eight_come_faster() 
 )
 def test_the_state_says_what_is_known_of_the_scale(thermal: ThermalConfig, words: str) -> None:
     world, source = plugged(thermal, Y16=Sizes((SIZE_PX,)))
-    said = []
-    world.events = [(0.5, lambda: said.append(source.health().detail))]
+    printed = []
+    world.events = [(0.5, lambda: printed.append(source.health().detail))]
     source.run(world.emit, world)
-    assert said[0].endswith(words)
+    assert printed[0].endswith(words)
 
 
 def test_a_camera_that_is_no_thermal_one_has_no_counts() -> None:
@@ -127,16 +127,16 @@ def test_a_folder_of_sixteen_bit_pictures_is_played_with_its_counts(tmp_path: Pa
     clock, out = Time(), list[Frame]()
     source = open_device(CameraConfig(device=f"replay:{tmp_path}"), CAMERA, clock, UNKNOWN)
     assert isinstance(source, PlayedCamera)
-    said = []
+    printed = []
 
     def emit(_: int, event: object) -> None:
         assert isinstance(event, Frame)
         out.append(event)
-        said.append(source.health().detail)
+        printed.append(source.health().detail)
 
     source.run(emit, clock)
     check(out, wanted)
-    assert set(said) == {"thermal, uncalibrated"}
+    assert set(printed) == {"thermal, uncalibrated"}
 
 
 def ffv1(path: Path, frames: int) -> Path:

@@ -206,7 +206,7 @@ def test_auto_prefers_the_format_that_reaches_the_rate() -> None:
 
 
 @pytest.mark.parametrize(("fault", "words"), [(errno.EBUSY, "another program"), (errno.EACCES, "group 'video'")])
-def test_why_a_camera_cannot_be_opened_is_said(fault: int, words: str) -> None:
+def test_why_a_camera_cannot_be_opened_is_reported(fault: int, words: str) -> None:
     world = World(video0=Plugged(OURS, open_fault=fault))
     seen = run(live(world), world, 3.0)
     assert at(seen, 0.5).state is State.STARTING

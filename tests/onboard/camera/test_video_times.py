@@ -63,7 +63,7 @@ def true_times_s() -> list[float]:
     return [n / RATE_HZ for n in itertools.accumulate([0, *steps[:-1]])]
 
 
-def test_frames_after_dropped_ones_keep_their_own_times_and_the_gap_is_said(tmp_path: Path) -> None:
+def test_frames_after_dropped_ones_keep_their_own_times_and_the_gap_is_reported(tmp_path: Path) -> None:
     source = open_frames(with_gaps(tmp_path / "a.mp4"), CAMERA, epoch_ns=START_NS)
     assert [(stamp - START_NS) / 1e9 for stamp in source.stamps_ns] == pytest.approx(true_times_s(), abs=1e-6)
     (note,) = source.notes

@@ -96,12 +96,12 @@ def test_temperature_is_the_kernels(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     (tmp_path / "thermal_zone0" / "temp").write_text("67000\n")
     watch.look()
     (tmp_path / "thermal_zone0" / "temp").write_text("40000\n")
-    said = text(report(LOAD, Config(), SMALL, 30.0, watch))
-    assert "51 deg C before, 67 at most" in said
+    printed = text(report(LOAD, Config(), SMALL, 30.0, watch))
+    assert "51 deg C before, 67 at most" in printed
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "printed"),
     [
         (["--rate", "0"], "pictures a second"),
         (["--frames", "."], "--telemetry"),
@@ -110,7 +110,11 @@ def test_temperature_is_the_kernels(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     ],
 )
 def test_wrong_usage_is_one_line(
-    arguments: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    arguments: list[str],
+    printed: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("camera.json").write_text(SMALL.to_json())
@@ -120,7 +124,7 @@ def test_wrong_usage_is_one_line(
         code = ended.code
     shown = capsys.readouterr()
     assert (code, shown.out) == (2, "")
-    assert said in shown.err
+    assert printed in shown.err
     assert len(shown.err.splitlines()) == 1
 
 

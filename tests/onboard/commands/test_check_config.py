@@ -52,7 +52,7 @@ def checked(file: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, list[s
     return code, capsys.readouterr().out.splitlines()
 
 
-def test_what_is_absent_is_said_line_by_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_absent_is_reported_line_by_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """It said `good` with neither camera nor autopilot there."""
     file = written(tmp_path, "/dev/video77", f"serial:{tmp_path / 'tty'}:57600")
     assert checked(file, capsys) == (
@@ -100,13 +100,13 @@ def test_of_the_network_it_says_that_no_one_can_know(
 
 def test_pictures_that_run_would_refuse_are_refused_here(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "frames").mkdir()
-    for size, said in ((None, "no picture in it"), ((64, 48), "the camera file states 640 x 480")):
+    for size, printed in ((None, "no picture in it"), ((64, 48), "the camera file states 640 x 480")):
         if size is not None:
             Image.new("L", size).save(tmp_path / "frames" / "20260612T101523.25Z.png")
         file = written(tmp_path, f"replay:{tmp_path / 'frames'}", "udpin:127.0.0.1:14550")
         assert main(["check-config", "--fly", str(file)]) == 2
         complaint = capsys.readouterr().err
-        assert said in complaint and complaint.count("\n") == 1
+        assert printed in complaint and complaint.count("\n") == 1
 
 
 def test_a_file_is_no_serial_line_and_recorded_pictures_must_be_there(

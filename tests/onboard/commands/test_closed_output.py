@@ -46,16 +46,16 @@ def test_status_ends_without_a_word(tmp_path: Path, buffered: bool, code: int) -
     (tmp_path / "config.toml").write_text(f'[vehicle]\nid = "kiwi"\n[link]\nlisten = ["{endpoint}"]\n')
     with Publisher("kiwi", (endpoint,)) as publisher:
         publisher.publish_status(encode_status(STATUS), REPORT.to_json())
-        not_running, said = 3, []
+        not_running, printed = 3, []
 
         def is_answered() -> bool:
             """Asked again where a busy machine was too slow to answer."""
             done = to_no_one("status", "--config", tmp_path / "config.toml", buffered=buffered)
-            said.append((done.stderr, done.returncode))
+            printed.append((done.stderr, done.returncode))
             return done.returncode != not_running
 
         assert eventually(is_answered)
-    assert said[-1] == ("", code)
+    assert printed[-1] == ("", code)
 
 
 def test_help_and_other_commands_do_too(tmp_path: Path) -> None:
@@ -65,7 +65,7 @@ def test_help_and_other_commands_do_too(tmp_path: Path) -> None:
     assert to_no_one("--help").stderr == to_no_one("--help", buffered=False).stderr == ""
 
 
-def test_an_error_is_still_said(tmp_path: Path) -> None:
+def test_an_error_is_still_reported(tmp_path: Path) -> None:
     done = to_no_one("check-config", tmp_path / "none.toml")
     assert done.returncode == 2
     assert "none.toml" in done.stderr and done.stderr.count("\n") == 1

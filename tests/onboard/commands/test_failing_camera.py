@@ -52,13 +52,13 @@ def test_calibration_ends_with_a_camera_that_just_ends(monkeypatch: pytest.Monke
 def test_the_doctor_s_report_names_what_ended_the_camera(error: Exception, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(V4l2Camera, "run", ends_with(error))
     config = parse_config('[camera]\ndevice = "/dev/video0"\n[telemetry]\nurl = "udpin:127.0.0.1:0"\n')
-    said: list[str] = []
+    reported: list[str] = []
 
     def is_named() -> bool:
         """Within 0.3 s; looked again where the camera's thread had no time to end by then."""
         report = Look(config, Camera.from_field_of_view(640, 480, 60.0)).report(0.3)
         assert report.camera is not None
-        said.append(report.camera.detail)
-        return str(error.args[-1]) in said[-1]
+        reported.append(report.camera.detail)
+        return str(error.args[-1]) in reported[-1]
 
-    assert eventually(is_named), said
+    assert eventually(is_named), reported

@@ -83,7 +83,7 @@ def test_it_says_what_it_assumed_and_writes_it_down(
     session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     flight = imported(session, tmp_path, Style(whole_seconds=True))
-    said = capsys.readouterr().out
+    printed = capsys.readouterr().out
     for words in (
         "16 of DJI FC7303",
         "cut to the second",
@@ -91,7 +91,7 @@ def test_it_says_what_it_assumed_and_writes_it_down(
         "gimbal's angles",
         "barometer, +-100 m",
     ):
-        assert words in said, said
+        assert words in printed, printed
     camera, raw = Camera.from_json(flight / "camera.json"), json.loads((flight / "camera.json").read_text())
     assert camera.fx_px == pytest.approx(CAMERA.fx_px, rel=1e-6) and camera.size_px == CAMERA.size_px
     sigma = raw["calibration"]["sigma"]
@@ -176,7 +176,7 @@ def spoilt(folder: Path, how: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("how", "said"),
+    ("how", "printed"),
     [
         ("size", "another size than most"),
         ("model", "another camera than most"),
@@ -187,14 +187,14 @@ def spoilt(folder: Path, how: str) -> None:
     ],
 )
 def test_what_cannot_be_a_flight_is_one_line_and_nothing_is_written(
-    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], how: str, said: str
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], how: str, printed: str
 ) -> None:
     style = Style(angles=False, focal="plane") if how == "place" else Style()
     write_photographs(session, tmp_path / "photos", style)
     spoilt(tmp_path / "photos", how)
     assert main(["import-photos", str(tmp_path / "photos"), "--out", str(tmp_path / "flight")]) == 2
     err = capsys.readouterr().err
-    assert said in err and err.count("\n") == 1
+    assert printed in err and err.count("\n") == 1
     assert not (tmp_path / "flight").exists()
 
 
@@ -214,8 +214,8 @@ def test_pictures_named_by_utc_are_a_flight_with_the_log_and_the_camera_file_nex
     """Such a folder was refused for want of EXIF, though `replay` took it."""
     real = shared_data / "cmac_2018"
     assert main(["import-photos", str(real / "frames"), "--out", str(tmp_path / "flight")]) == 0
-    said = capsys.readouterr().out
-    assert "18 of" in said and "of the names, with fractions" in said and "cmac_2018/telemetry.tlog" in said
+    printed = capsys.readouterr().out
+    assert "18 of" in printed and "of the names, with fractions" in printed and "cmac_2018/telemetry.tlog" in printed
     assert Camera.from_json(tmp_path / "flight" / "camera.json") == Camera.from_json(real / "camera.json")
     stamps = (tmp_path / "flight" / "stamps.csv").read_text().splitlines()
     assert stamps[1] == "2018080501004480Z.jpg,1533430844.800000" and len(stamps) == 19

@@ -88,15 +88,15 @@ def test_it_lists_what_it_took_and_what_was_set_goes_before_it(
     video = clip(tmp_path / "20260612T101525Z.mp4")
     settings = ("--set", "mount.pitch_deg=-45", "--set", "camera.fov_deg=80", "--set", "recording.pictures=jpeg")
     assert imported(tmp_path, video, *settings) == 0
-    said = capsys.readouterr().out
+    printed = capsys.readouterr().out
     for words in (
         "20 frames, 10 frames a second, 5 of them taken",
         "its name, to the second",
         "80 deg wide",
         "flight.csv",
     ):
-        assert words in said, said
-    assert said.splitlines()[-1].startswith("pc-onboard replay ") and said.splitlines()[-1].endswith("--rate 5")
+        assert words in printed, printed
+    assert printed.splitlines()[-1].startswith("pc-onboard replay ") and printed.splitlines()[-1].endswith("--rate 5")
     config = load_config_files(tmp_path / "flight" / "config.toml")
     assert (config.mount.pitch_deg, config.recording.pictures, config.solve.attitude) == (-45.0, "jpeg", "none")
     assert (config.camera.latency_s, config.camera.sigma_latency_s) == (-0.5, 1.0)
@@ -113,7 +113,7 @@ def test_it_lists_what_it_took_and_what_was_set_goes_before_it(
         (("--utc-offset", "2"), 1.0),
     ],
 )  # fmt: skip
-def test_when_it_began_may_be_said(tmp_path: Path, arguments: tuple[str, ...], began_s: float) -> None:
+def test_when_it_began_may_be_reported(tmp_path: Path, arguments: tuple[str, ...], began_s: float) -> None:
     log = table(tmp_path)
     video = clip(tmp_path / "20260612T121524Z.mp4")  # a local time
     assert imported(tmp_path, video, "--telemetry", log, *arguments) == 0
@@ -147,7 +147,7 @@ def two_logs(folder: Path) -> list[object]:
 
 
 @pytest.mark.parametrize(
-    ("spoil", "said"),
+    ("spoil", "printed"),
     [
         (no_log, "no log of the flight next to it"), (local_time, "--utc-offset 2"), (no_moment, "give --start"),
         (other_camera, "camera.json is for 640 x 480, the pictures are 64 x 48"),
@@ -159,7 +159,7 @@ def two_logs(folder: Path) -> list[object]:
     ],
 )  # fmt: skip
 def test_what_is_missing_or_wrong_is_one_line_and_nothing_is_written(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], spoil: object, said: str
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], spoil: object, printed: str
 ) -> None:
     table(tmp_path)
     clip(tmp_path / "20260612T101525Z.mp4")
@@ -167,7 +167,7 @@ def test_what_is_missing_or_wrong_is_one_line_and_nothing_is_written(
     (video,) = tmp_path.glob("*.mp4")
     assert imported(tmp_path, video, *arguments) == 2
     complaint = capsys.readouterr().err
-    assert said in complaint and complaint.count("\n") == 1
+    assert printed in complaint and complaint.count("\n") == 1
     assert not (tmp_path / "flight").exists()
 
 

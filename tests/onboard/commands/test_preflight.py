@@ -65,50 +65,53 @@ def test_before_a_good_flight_all_is_green() -> None:
     assert text(WELL, "gps") == "fix type 3, 14 satellites, +-0.8 m"
 
 
-def test_how_well_pictures_are_timed_is_said_and_amiss_where_it_is_poor() -> None:
+def test_how_well_pictures_are_timed_is_reported_and_amiss_where_it_is_poor() -> None:
     assert text(WELL, "stamps") == "0.000 +-0.100 s late by camera.latency_s, nothing learned yet: turns show it"
-    said = "each picture's time +-31.0 ms; 0.000 +-0.100 s late"
-    assert text(figures("camera", stamp_sigma_ms=31.0), "stamps").startswith(said)
+    messages = "each picture's time +-31.0 ms; 0.000 +-0.100 s late"
+    assert text(figures("camera", stamp_sigma_ms=31.0), "stamps").startswith(messages)
     assert red(figures("camera", stamp_sigma_ms=31.0)) == []
     assert red(figures("camera", stamp_sigma_ms=140.0)) == ["stamps"]
     learned = replace(WELL, estimates=(Estimate(TIME_OFFSET, "seconds", (-0.213,), (0.008,)),))
     assert text(learned, "stamps") == "learned in flight: -0.213 +-0.008 s in addition to camera.latency_s"
 
 
-def test_what_decodes_a_stream_is_said_where_the_camera_is_one() -> None:
+def test_what_decodes_a_stream_is_reported_where_the_camera_is_one() -> None:
     around = replace(AROUND, decoders="H264 by v4l2h264dec (hardware), else avdec_h264")
     (line,) = (line for line in diagnose(CONFIG, WELL, around) if line.name == "decoder")
     assert line.is_good and line.text == around.decoders
     assert "decoder" not in verdicts(WELL)
 
 
-def test_a_thermal_cameras_scale_is_said_and_that_no_one_knows_it() -> None:
+def test_a_thermal_cameras_scale_is_reported_and_that_no_one_knows_it() -> None:
     assert "thermal" not in verdicts(WELL)
-    said = {}
+    messages = {}
     for scale in (None, 0.01):
         config = CONFIG.model_copy(update={"thermal": ThermalConfig(enabled=True, scale=scale)})
         (line,) = (line for line in diagnose(config, WELL, AROUND) if line.name == "thermal")
         assert line.is_good
-        said[scale] = line.text
-    assert said == {None: "uncalibrated; hot spots have no temperatures (thermal.scale)", 0.01: "0.01 K a count"}
+        messages[scale] = line.text
+    assert messages == {None: "uncalibrated; hot spots have no temperatures (thermal.scale)", 0.01: "0.01 K a count"}
 
 
 def test_a_second_camera_has_a_line_that_is_red_while_nothing_comes_from_it() -> None:
     assert "thermal camera" not in verdicts(WELL)
     second = SecondCamera(device="/dev/video9", file="thermal.json", scale=0.04)
     config = CONFIG.model_copy(update={"camera": CONFIG.camera.model_copy(update={"thermal": second})})
-    for state, detail, said in ((State.OK, "", "ok"), (State.LOST, "unplugged", "lost, so no hot spots (unplugged)")):
+    for state, detail, messages in (
+        (State.OK, "", "ok"),
+        (State.LOST, "unplugged", "lost, so no hot spots (unplugged)"),
+    ):
         report = report_of(replace(WELL_INPUTS, thermal_camera=SourceStatus(state, detail)))
         lines = {line.name: line for line in diagnose(config, report, AROUND)}
-        assert (lines["thermal camera"].text, lines["thermal camera"].is_good) == (said, state is State.OK)
+        assert (lines["thermal camera"].text, lines["thermal camera"].is_good) == (messages, state is State.OK)
         assert lines["thermal"].text == "0.04 K a count" and lines["camera"].is_good
 
 
-def test_what_is_left_out_of_the_picture_is_said_with_who_found_it() -> None:
+def test_what_is_left_out_of_the_picture_is_reported_with_who_found_it() -> None:
     assert text(WELL, "left out") == "nothing"
     found = replace(WELL, pictures=replace(WELL.pictures, left_out=LeftOut(0.02, 0.113)))
-    said = "2 % by camera.mask, 11 % found: stands still while the ground moves (a display, or the aircraft itself)"
-    assert text(found, "left out") == said and red(found) == []
+    messages = "2 % by camera.mask, 11 % found: stands still while the ground moves (a display, or the aircraft itself)"
+    assert text(found, "left out") == messages and red(found) == []
     assert red(replace(WELL, pictures=replace(WELL.pictures, left_out=LeftOut(0.0, 0.5)))) == ["left out"]
 
 
@@ -127,10 +130,10 @@ def test_at_rest_with_a_good_fix_all_is_green() -> None:
 
 @unhurried
 @given(inputs())
-def test_state_and_doctor_never_disagree(said: Inputs) -> None:
+def test_state_and_doctor_never_disagree(messages: Inputs) -> None:
     """Whatever makes the state not well is a red line of the doctor's next to the state's own, and the reverse."""
-    is_well = overall(said).state.is_well
-    lines = verdicts(report_of(said))
+    is_well = overall(messages).state.is_well
+    lines = verdicts(report_of(messages))
     judged = {name: lines[name] for name in (subject.value for subject in Subject) if name in lines}
     assert {s.value for s in Subject} - judged.keys() <= {"thermal camera"}
     assert lines["state"] is is_well
@@ -140,10 +143,10 @@ def test_state_and_doctor_never_disagree(said: Inputs) -> None:
 
 @unhurried
 @given(inputs())
-def test_what_the_state_says_stands_in_a_red_line(said: Inputs) -> None:
-    state = overall(said)
+def test_what_the_state_says_stands_in_a_red_line(messages: Inputs) -> None:
+    state = overall(messages)
     if not state.state.is_well:
-        lines = diagnose(CONFIG, report_of(said), AROUND)
+        lines = diagnose(CONFIG, report_of(messages), AROUND)
         reason = state.reason.split(": ")[-1]
         assert any(reason in line.text for line in lines if not line.is_good and line.name != "state")
 
@@ -222,7 +225,7 @@ def test_what_is_not_needed_is_not_missed() -> None:
     assert all(verdicts(report, Surroundings(CAMERA, "", None, None), config).values())
 
 
-def test_without_a_daemon_nothing_is_said_of_what_only_it_can_know() -> None:
+def test_without_a_daemon_nothing_is_reported_of_what_only_it_can_know() -> None:
     lines = verdicts(WELL, replace(AROUND, is_running=False))
     assert not lines.keys() & {"state", "pipeline", "position", "answers", "load", "recording", "threads"}
     assert {"camera", "telemetry", "gps"} < lines.keys()
@@ -247,7 +250,7 @@ def test_a_boresight_within_its_prior_is_well() -> None:
     assert "learned in flight: 0.8 +-0.1 deg" in text(report, "mount")
 
 
-def test_relative_errors_larger_than_stated_are_said_and_far_larger_are_amiss() -> None:
+def test_relative_errors_larger_than_stated_are_reported_and_far_larger_are_amiss() -> None:
     def found(factor: float) -> Report:
         return replace(WELL, estimates=(Estimate(RELATIVE_VARIANCE, "ratio", (factor,), (0.2,)),))
 
@@ -282,10 +285,10 @@ def test_a_sensor_that_contradicts_the_others_is_not_well_while_it_does() -> Non
     """The state and the doctor's line say the same. It was `ok` with a red line and exit 1."""
     wrong, over = Contradiction("tilt", 12.0, 9.0, 8), Contradiction("velocity", 1.0, 3.0, 4)
     report = report_of(replace(WELL_INPUTS, contradiction=in_words((wrong, over))))
-    said = "tilt contradicts the other sensors for 9 s and counts with 12 times its sigma"
+    messages = "tilt contradicts the other sensors for 9 s and counts with 12 times its sigma"
     assert red(report) == ["state", "sensors"]
-    assert text(report, "sensors") == said
-    assert text(report, "state") == f"degraded: sensors: {said}"
+    assert text(report, "sensors") == messages
+    assert text(report, "state") == f"degraded: sensors: {messages}"
     assert red(report_of(replace(WELL_INPUTS, contradiction=in_words((over,))))) == []
 
 
@@ -295,8 +298,8 @@ def test_every_line_is_explained_and_no_name_runs_into_its_text() -> None:
     lines = diagnose(config, report, replace(AROUND, decoders="H264 by avdec_h264"))
     assert {line.name for line in lines} == set(MEANING)
     for explained in (False, True):
-        said = doctor.text(lines, False, explained).splitlines()
-        assert len(said) == len(lines) * (3 if explained else 1)
+        messages = doctor.text(lines, False, explained).splitlines()
+        assert len(messages) == len(lines) * (3 if explained else 1)
     for line, words in zip(lines, doctor.text(lines, False).splitlines(), strict=True):
         assert f" {line.name} " in words
     assert all("If bad" in meaning[1] for meaning in MEANING.values())

@@ -193,7 +193,7 @@ def spoil_overlap(session: Path) -> dict[str, Path | str]:
 
 
 @pytest.mark.parametrize(
-    ("spoil", "said"),
+    ("spoil", "printed"),
     [
         (lambda s: {"config": s / "none.toml"}, "none.toml: No such file"),
         (lambda s: {"frames": s / "none"}, "no such folder or video"),
@@ -211,7 +211,7 @@ def spoil_overlap(session: Path) -> dict[str, Path | str]:
     ],
 )
 def test_bad_input_is_one_line_exit_2_and_nothing_written(
-    session: Path, capsys: pytest.CaptureFixture[str], spoil: Any, said: str
+    session: Path, capsys: pytest.CaptureFixture[str], spoil: Any, printed: str
 ) -> None:
     changed = spoil(session)
     before = sorted(session.rglob("*"))
@@ -221,7 +221,7 @@ def test_bad_input_is_one_line_exit_2_and_nothing_written(
         code = int(str(wrong_usage.code))
     reported = capsys.readouterr().err
     assert code == 2
-    assert said in reported
+    assert printed in reported
     assert reported.startswith("pc-onboard: error: ")
     assert reported.count("\n") == 1
     assert sorted(session.rglob("*")) == before

@@ -88,9 +88,9 @@ def test_where_everything_is_found_nothing_is_asked(out: Path, capsys: pytest.Ca
     assert 2.0 * math.degrees(math.atan(640 / camera.fx_px)) == pytest.approx(70.4, abs=0.1)
     assert around.checked == [out]
     assert "serial:/dev/ttyAMA0:115200" not in around.listened  # that port has been found at another rate
-    said = capsys.readouterr().out
+    printed = capsys.readouterr().out
     for words in ("calibrate --device", "calibrate --from", "--mount ROLL,PITCH,YAW", f"run --config {out}"):
-        assert words in said
+        assert words in printed
 
 
 def test_flags_alone_say_everything_and_nothing_is_looked_for(out: Path, tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from onboard.__main__ import main
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "printed"),
     [
         (["calibrate", "--size", "banana"], "--size: 'banana' is not two whole numbers as in 640x480"),
         (["calibrate", "--size", "640x0"], "'640x0' is not two"),
@@ -20,13 +20,13 @@ from onboard.__main__ import main
     ],
 )
 def test_wrong_usage_is_one_line_without_names_of_ours(
-    arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]
+    arguments: list[str], printed: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as end:
         main(arguments)
     out, complaint = capsys.readouterr()
     assert (end.value.code, out, complaint.count("\n")) == (2, "", 1)
-    assert said in complaint and "value:" not in complaint
+    assert printed in complaint and "value:" not in complaint
 
 
 def test_a_replay_without_its_inputs_names_all_that_is_missing(capsys: pytest.CaptureFixture[str]) -> None:

@@ -59,7 +59,7 @@ def test_without_a_folder_the_file_is_all(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "printed"),
     [
         ("[camera]\nrate = 5\n", "did you mean 'camera.rate_hz'?"),
         ("[camera]\nrate_hz = 5000\n", "0.1 to 240 Hz"),
@@ -68,14 +68,14 @@ def test_without_a_folder_the_file_is_all(tmp_path: Path) -> None:
     ],
 )
 def test_the_complaint_names_the_file_at_fault(
-    etc: Path, text: str, said: str, capsys: pytest.CaptureFixture[str]
+    etc: Path, text: str, printed: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (etc / "config.d" / "10-good.toml").write_text("[camera]\nrate_hz = 15\n")
     (etc / "config.d" / "20-bad.toml").write_text(text)
     with pytest.raises(ConfigError) as caught:
         load_config_files(etc / "config.toml")
     assert str(etc / "config.d" / "20-bad.toml") in str(caught.value)
-    assert said in str(caught.value)
+    assert printed in str(caught.value)
     assert main(["check-config", str(etc / "config.toml")]) == 2
     complaint = capsys.readouterr().err
     assert complaint.count("\n") == 1

@@ -45,7 +45,7 @@ def test_an_empty_file_is_the_default() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "reported"),
     [
         ("[mount]\nyaw = 90", "unknown key 'mount.yaw'; did you mean 'mount.yaw_deg'?"),
         ("[solve]\natitude = 'none'", "did you mean 'solve.attitude'?"),
@@ -72,10 +72,10 @@ def test_an_empty_file_is_the_default() -> None:
         ("[mount\n", "not TOML"),
     ],
 )
-def test_a_wrong_file_is_refused_in_one_line_that_says_what_is_right(text: str, said: str) -> None:
+def test_a_wrong_file_is_refused_in_one_line_that_says_what_is_right(text: str, reported: str) -> None:
     with pytest.raises(ConfigError) as caught:
         parse_config(text)
-    assert said in str(caught.value)
+    assert reported in str(caught.value)
     assert "\n" not in str(caught.value)
 
 

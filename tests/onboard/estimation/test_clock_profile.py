@@ -112,7 +112,7 @@ def test_an_offset_beyond_reach_is_not_guessed_at() -> None:
     assert found.kept_s is None
 
 
-def test_of_an_offset_that_was_not_compared_nothing_is_said() -> None:
+def test_of_an_offset_that_was_not_compared_nothing_is_reported() -> None:
     """What was learned may lie farther from the offset used than the profile reaches."""
     found = profile(0.2, used_s=0.1)
     assert found is not None

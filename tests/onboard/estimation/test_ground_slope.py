@@ -163,15 +163,15 @@ def test_what_a_window_alone_says_is_free_of_prior_and_mount() -> None:
     rows = np.zeros((2, n))
     rows[0, STATES + 1] = 1.0 / KNOWN  # the slope east, by the pictures
     rows[1, [BORESIGHT.start, STATES + 2]] = 1.0 / KNOWN  # slope north plus the mount's roll, by the attitude
-    said = np.array([0.08, -0.05])
+    reported = np.array([0.08, -0.05])
     for sigma, believed in ((0.03, 0.0), (0.2, 0.1)):
         whitener = np.diag(1.0 / np.array([0.02] * STATES + [1e4, sigma, sigma]))
         mean = np.zeros(n)
         mean[STATES + 1 :] = believed
         prior = SharedPrior(Layout(10), mean, whitener)
         covariance = np.linalg.inv(whitener @ whitener + rows.T @ rows)
-        posterior = covariance @ (whitener @ whitener @ mean + rows.T @ (said / KNOWN))
+        posterior = covariance @ (whitener @ whitener @ mean + rows.T @ (reported / KNOWN))
         slope, alone = seen_alone(prior, posterior, covariance)
-        assert slope[0] == pytest.approx(said[0], rel=1e-3)
+        assert slope[0] == pytest.approx(reported[0], rel=1e-3)
         assert np.sqrt(alone[0, 0]) == pytest.approx(KNOWN, rel=0.01)
         assert np.sqrt(alone[1, 1]) > 10.0 * SIGMA * 0.5

@@ -46,22 +46,22 @@ class Watched:
 
 @pytest.fixture
 def watched(monkeypatch: pytest.MonkeyPatch) -> Iterator[Watched]:
-    said = Watched([], [], [])
+    reported = Watched([], [], [])
     adopt = Window.adopt
 
     def watch(self: Window, outcome: Outcome, clock: ClockProfile | None = None) -> object:
         earlier = self.memory.windows
         status = adopt(self, outcome, clock)
         if outcome.agreed is not None and outcome.solved is not None:
-            said.agreements.append(outcome.agreed)
+            reported.agreements.append(outcome.agreed)
             start_ns = outcome.solved.keyframes[0].nav.stamp_ns
             apart = [w for w in earlier if w.keyframes[-1].nav.stamp_ns < start_ns]
-            said.pairs.append((apart[-1], outcome.solved))
-        said.factors.append(self.memory.relative.factor)
+            reported.pairs.append((apart[-1], outcome.solved))
+        reported.factors.append(self.memory.relative.factor)
         return status
 
     monkeypatch.setattr(sliding_window.Window, "adopt", watch)
-    yield said
+    yield reported
 
 
 @pytest.mark.parametrize(

@@ -200,7 +200,7 @@ def test_the_readout_is_reported_beside_the_camera_where_it_is_estimated() -> No
     assert ("readout", "-4.2 +-20.0 ms off camera.readout_s") in as_rows(found, ())
 
 
-def test_what_is_not_confirmed_of_an_unsure_camera_is_said_too() -> None:
+def test_what_is_not_confirmed_of_an_unsure_camera_is_reported_too() -> None:
     """It raised: states of the camera were counted on one side only."""
     alignment = Alignment(0.02, 0.1, 20.0, camera=replace(CAMERA, stated_sigma=UNKNOWN_SIGMA), readout=(0.0, 0.001))
     mean = np.zeros(STATES + 6)

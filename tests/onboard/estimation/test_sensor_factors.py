@@ -75,13 +75,13 @@ def test_velocity_takes_part_only_where_asked_for_and_known(scene: Scene) -> Non
     whole, gap = (priors_of(FULL, k)[VelocityPrior] for k in (keyframes, broken))
     assert isinstance(whole, VelocityPrior) and isinstance(gap, VelocityPrior)
     # What displacements say of the views' centres: nothing over the gap, all of it over the other intervals.
-    said = [p.evaluate(truth_of(scene))[1] for p in (whole, gap)]
-    over_gap = np.zeros(said[0].shape[1])
+    reported = [p.evaluate(truth_of(scene))[1] for p in (whole, gap)]
+    over_gap = np.zeros(reported[0].shape[1])
     over_gap[whole.layout.centre(3).start :: 6][: len(keyframes) - 3] = 1.0  # all centres after the gap moved east
-    assert np.linalg.norm(said[0] @ over_gap) > 1.0 > 1e3 * np.linalg.norm(said[1] @ over_gap)
-    elsewhere = np.zeros(said[0].shape[1])
+    assert np.linalg.norm(reported[0] @ over_gap) > 1.0 > 1e3 * np.linalg.norm(reported[1] @ over_gap)
+    elsewhere = np.zeros(reported[0].shape[1])
     elsewhere[whole.layout.centre(5).start] = 1.0
-    assert np.linalg.norm(said[1] @ elsewhere) > 0.8 * np.linalg.norm(said[0] @ elsewhere)
+    assert np.linalg.norm(reported[1] @ elsewhere) > 0.8 * np.linalg.norm(reported[0] @ elsewhere)
     first = [replace(keyframes[0], displacement=None), *keyframes[1:]]
     assert VelocityPrior in priors_of(FULL, first)
 
@@ -174,7 +174,7 @@ def test_no_delay_is_surer_than_declared_however_sure_turns_make_it(scene: Scene
     assert sure[[DELAY, VELOCITY_DELAY]] == pytest.approx(PLATFORM.sigma[[DELAY, VELOCITY_DELAY]])
 
 
-def test_ground_not_said_to_be_level_may_slope_and_terrain_may_not(scene: Scene) -> None:
+def test_ground_not_reported_to_be_level_may_slope_and_terrain_may_not(scene: Scene) -> None:
     keyframes = keyframes_of(scene)
     free = shared_sigmas(priors_of(parse_config("[solve]\nlevel_ground = false"), keyframes)[SharedPrior])
     known = shared_sigmas(priors_of(FULL, keyframes, has_terrain=True)[SharedPrior])

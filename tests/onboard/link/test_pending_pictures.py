@@ -62,7 +62,7 @@ def test_pictures_that_never_get_a_set_do_not_pile_up() -> None:
 
 
 @pytest.mark.parametrize(
-    ("said", "expected"),
+    ("reported", "expected"),
     [
         (None, ANSWER_TIMEOUT_S),
         ("8", 8.0),
@@ -72,5 +72,5 @@ def test_pictures_that_never_get_a_set_do_not_pile_up() -> None:
         ("nan", 3.0),
     ],
 )
-def test_a_ground_says_how_long_it_waits_within_bounds(said: str | None, expected: float) -> None:
-    assert patience_s(said) == expected
+def test_a_ground_says_how_long_it_waits_within_bounds(reported: str | None, expected: float) -> None:
+    assert patience_s(reported) == expected

@@ -152,7 +152,7 @@ def test_a_ground_that_asks_gets_the_right_picture_for_the_frame_and_one_that_do
     pictures = PictureCache()
     with Publisher("uav-1", [endpoint], rate=Rate(1e6, max_rate_hz=30.0)) as flying:
         with SetCache(endpoint) as without:
-            assert eventually(lambda: _said(flying, without, 1))
+            assert eventually(lambda: _reported(flying, without, 1))
             assert flying.picture_room() == 0
         subscriptions = {PICTURE.key(ANY_VEHICLE): pictures.take}
         with PictureSender(SECTION, flying) as sender, SetCache(endpoint, subscriptions=subscriptions) as cache:
@@ -176,7 +176,7 @@ def test_a_ground_that_asks_gets_the_right_picture_for_the_frame_and_one_that_do
         assert pictures.unreadable == 0
 
 
-def _said(flying: Publisher, cache: SetCache, number: int) -> bool:
+def _reported(flying: Publisher, cache: SetCache, number: int) -> bool:
     flying.publish(a_set(number))
     return cache.newest("uav-1") is not None
 
@@ -192,7 +192,7 @@ def test_the_cap_is_held_with_pictures_on_and_they_do_come() -> None:
         SetCache(link.endpoint, subscriptions={PICTURE.key(ANY_VEHICLE): pictures.take}) as cache,
     ):
         assert eventually(lambda: flying.picture_room() > 0)
-        assert eventually(lambda: _said(flying, cache, 1))
+        assert eventually(lambda: _reported(flying, cache, 1))
         began_s, number = time.monotonic(), 2
         noise = np.random.default_rng(1).integers(0, 255, (160, 220), np.uint8)
         content, width, height = small_image(noise, PictureConfig(quality=80))

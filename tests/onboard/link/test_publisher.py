@@ -124,8 +124,10 @@ def test_a_picture_that_gets_no_set_while_its_ground_waits_is_refused_with_the_r
             return bool(refusals)
 
         assert eventually(is_refused)
-    (said,) = refusals
-    assert (said["status"], said["state"]) == ("unknown_frame", "placing pictures") and "picture 4" in said["reason"]
+    (printed,) = refusals
+    assert (printed["status"], printed["state"]) == ("unknown_frame", "placing pictures") and "picture 4" in printed[
+        "reason"
+    ]
     assert 0.9 <= took_s[-1] < 10.0  # said while it was waited for, and not before most of that time
 
 
@@ -145,16 +147,16 @@ def test_a_senseless_query_is_refused_and_the_next_one_answered(
 ) -> None:
     publisher.publish(a_set(0))
     config = {"mode": "client", "connect": {"endpoints": [endpoint]}}
-    said: list[str] = []
+    printed: list[str] = []
 
     def is_refused() -> bool:
         replies = list(session.get(f"pc/uav-1/features?{parameters}", timeout=5.0))
-        said[:] = [json.loads(r.err.payload.to_bytes())["status"] for r in replies if r.err]
-        return bool(said)
+        printed[:] = [json.loads(r.err.payload.to_bytes())["status"] for r in replies if r.err]
+        return bool(printed)
 
     with zenoh.open(zenoh.Config.from_json5(json.dumps(config))) as session:
         assert eventually(is_refused)
-    assert said == ["unknown_frame"]
+    assert printed == ["unknown_frame"]
     assert got(asked(endpoint)).frame == 0
 
 
@@ -301,9 +303,11 @@ def test_two_vehicles_at_one_endpoint_must_be_distinguished(endpoint: str, capsy
             code = main(["click", "320", "240", "--connect", endpoint, *options])
             return code, *capsys.readouterr()
 
-        assert eventually(lambda: (said := click())[0] == 2 and ": uav-1, uav-2; choose one with --vehicle" in said[2])
+        assert eventually(
+            lambda: (printed := click())[0] == 2 and ": uav-1, uav-2; choose one with --vehicle" in printed[2]
+        )
         options = ["--vehicle", "uav-2", "--max-age", "inf", "--format", "json"]
-        assert eventually(lambda: (said := click(*options))[0] == 0 and json.loads(said[1])["frame"] == 4)
+        assert eventually(lambda: (printed := click(*options))[0] == 0 and json.loads(printed[1])["frame"] == 4)
 
 
 def test_the_age_of_the_newest_picture_grows_while_only_old_ones_come(publisher: Publisher, endpoint: str) -> None:
@@ -334,10 +338,10 @@ def test_a_live_click_in_its_own_process_answers_and_refuses(publisher: Publishe
 
     def answer(expected: int, *arguments: str) -> dict[str, object]:
         """Asked again where the link took too long: a loaded machine's may."""
-        said: list[tuple[int, str, str]] = []
-        assert eventually(lambda: said.append(click(*arguments, "--format", "json")) or said[-1][0] != 2)
-        assert said[-1][0] == expected, said[-1]
-        found: dict[str, object] = json.loads(said[-1][1])
+        printed: list[tuple[int, str, str]] = []
+        assert eventually(lambda: printed.append(click(*arguments, "--format", "json")) or printed[-1][0] != 2)
+        assert printed[-1][0] == expected, printed[-1]
+        found: dict[str, object] = json.loads(printed[-1][1])
         return found
 
     first = answer(0, "--max-age", "inf")

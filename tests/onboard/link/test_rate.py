@@ -179,13 +179,13 @@ def test_revisions_of_keyframes_go_first_and_lie_evenly_in_time() -> None:
     assert max(gaps_s) <= 2.0  # keyframes lie 0.33 s apart, four of five go
 
 
-def test_with_nothing_new_the_newest_is_said_again_every_two_seconds() -> None:
+def test_with_nothing_new_the_newest_is_reported_again_every_two_seconds() -> None:
     sent = sets(run(Budget(32000.0, 0.2, 5.0, 0.0), [(0.0, an_offer(7, 0.0))], 21.0))
     assert {offer.frame for _, offer in sent} == {7}
     assert 10 <= len(sent) <= 11
 
 
-def test_with_nothing_new_the_newest_is_said_again_between_older_ones_too() -> None:
+def test_with_nothing_new_the_newest_is_reported_again_between_older_ones_too() -> None:
     """A camera that stops leaves many older pictures that were overtaken; the newest may have gone into a cut."""
     sent = run(Budget(32000.0, 0.2, 5.0, 0.0), flight(10.0, 10.0), 20.0, 480)
     again = [s.at_s for s in sent if s.kind is Kind.SET and s.at_s > 10.5]

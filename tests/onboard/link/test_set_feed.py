@@ -180,8 +180,8 @@ def test_a_ground_stations_system_number_is_turned_away(system: int, is_turned_a
     radio.receive(ground, encode_question(ClickQuestion(5, 1.0, 2.0)))
     radio.receive(ground, encode_report(ReceiverReport(0, 0)))
     radio.receive(ground, b"")
-    said = [decode(payload) for to, payload in radio.due() if to == ground and read_piece(payload) is None]
-    assert [isinstance(s, TurnedAway) and (s.low, s.high) == (250, 255) for s in said] == [True] * is_turned_away
+    messages = [decode(payload) for to, payload in radio.due() if to == ground and read_piece(payload) is None]
+    assert [isinstance(s, TurnedAway) and (s.low, s.high) == (250, 255) for s in messages] == [True] * is_turned_away
 
 
 def reported(follower: RateFollower, share: float, reports: int, begin_s: float = 0.0) -> float:

@@ -74,7 +74,7 @@ def is_click_answered_beside_reports() -> bool:
         for thread in asking:
             thread.join()
     # And so are the reports.
-    return [json.loads(said)["status"] for said in answers] == ["starting"] and took_s < 2.5 and bool(reports)
+    return [json.loads(printed)["status"] for printed in answers] == ["starting"] and took_s < 2.5 and bool(reports)
 
 
 def test_reports_have_what_replies_leave_and_replies_never_wait_for_them() -> None:

@@ -128,19 +128,19 @@ def reasons(change: dict[str, tuple[float, float]]) -> list[str]:
         start_s, end_s = change.get(name, (np.inf, np.inf))
         return start_s <= t < end_s
 
-    navigation, said = Navigation(Config()), [""]
+    navigation, reported = Navigation(Config()), [""]
     for t in np.arange(0.0, 40.0, 0.2):
         if not has("silent", t):
             navigation.add(GpsQuality(T0 + round(t * 1e9), 1 if has("no fix", t) else 3, sigma_horizontal_m=0.3))
         navigation.add(FilterStatus(T0 + round(t * 1e9), not has("no position", t), has("glitch", t)))
         navigation.add(fix(t, 20.0 * t + (33.0 if has("jump", t) else 0.0)))
         navigation.state_at(T0 + round((t - 0.1) * 1e9))
-        if navigation.reason != said[-1]:
-            said.append(navigation.reason)
-    return [r for r in said if r]
+        if navigation.reason != reported[-1]:
+            reported.append(navigation.reason)
+    return [r for r in reported if r]
 
 
-def test_what_keeps_a_position_from_being_believed_is_said_in_words() -> None:
+def test_what_keeps_a_position_from_being_believed_is_reported_in_words() -> None:
     assert reasons({}) in ([], ["no position yet"])
     assert "fix lost" in reasons({"no fix": (20.0, 25.0)})
     assert "recovering" in reasons({"no fix": (20.0, 25.0)})

@@ -73,7 +73,7 @@ def test_the_summary_has_a_row_for_each_and_names_a_sensor_only_where_it_is_wors
     assert larger_than_declared(sensor_errors(CONFIG, VarianceFactors())) == ""
 
 
-def test_what_is_not_confirmed_is_said_with_its_sigma_and_apart_from_what_is_used() -> None:
+def test_what_is_not_confirmed_is_reported_with_its_sigma_and_apart_from_what_is_used() -> None:
     mean, sigma = np.zeros(STATES), np.full(STATES, 0.1)
     mean[OFFSET], sigma[OFFSET] = 0.81, 0.12
     outside = np.arange(STATES) == OFFSET
@@ -87,7 +87,7 @@ def test_what_is_not_confirmed_is_said_with_its_sigma_and_apart_from_what_is_use
     assert unconfirmed_of(None) == ()
 
 
-def test_a_sensor_that_contradicts_the_others_is_said_while_it_does_and_remembered_after() -> None:
+def test_a_sensor_that_contradicts_the_others_is_reported_while_it_does_and_remembered_after() -> None:
     second_ns = 1_000_000_000
     failing = (
         Failing().after(0, 10 * second_ns, {"heading": 100.0}).after(5 * second_ns, 22 * second_ns, {"heading": 400.0})

@@ -83,7 +83,7 @@ def pictures(
 
 
 @pytest.mark.parametrize(
-    ("truth", "said"),
+    ("truth", "reported"),
     [
         (MountHypothesis.GIMBAL, "level"),
         (MountHypothesis.JOINTS, "joints"),  # a stabilised camera whose messages are joint angles
@@ -93,8 +93,8 @@ def pictures(
     ],
 )
 @pytest.mark.parametrize("speed_m_s", [20.0, 0.0])
-def test_the_reading_that_foretells_the_pictures_wins(truth: MountHypothesis, said: str, speed_m_s: float) -> None:
-    mount_selection, decided = pictures(truth, said, 60, speed_m_s=speed_m_s)
+def test_the_reading_that_foretells_the_pictures_wins(truth: MountHypothesis, reported: str, speed_m_s: float) -> None:
+    mount_selection, decided = pictures(truth, reported, 60, speed_m_s=speed_m_s)
     assert mount_selection.verdict is truth
     assert decided is not None
     assert 2 < decided < 40

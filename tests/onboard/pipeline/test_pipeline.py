@@ -308,7 +308,7 @@ def test_a_lost_fix_is_no_gps(session: Session) -> None:
     assert sum(final[f].is_ok for f in earlier) >= 0.7 * len(earlier)
 
 
-def test_telemetry_that_ends_is_said_to_be_missing(session: Session) -> None:
+def test_telemetry_that_ends_is_reported_to_be_missing(session: Session) -> None:
     half = session.truth.unix_time_s[len(session.truth) // 2] * 1e9
     events = [e for e in session.events if isinstance(e, Frame) or e.stamp_ns < half]
     final = last(session.run(events))

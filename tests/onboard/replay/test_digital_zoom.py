@@ -55,7 +55,7 @@ def test_without_zoom_nothing_changes(tmp_path: Path) -> None:
     assert opened.camera is CAMERA and not any("zoom" in note for note in opened.notes)
 
 
-def test_pictures_at_another_zoom_than_most_are_left_out_and_said(tmp_path: Path) -> None:
+def test_pictures_at_another_zoom_than_most_are_left_out_and_reported(tmp_path: Path) -> None:
     opened = flight(tmp_path, ["1.00"] * 20 + ["2.00"] * 6 + ["1.00"] * 4)
     assert opened.camera == CAMERA
     frames = list(opened.frames.frames())

@@ -51,10 +51,10 @@ def test_a_replay_follows_prints_and_records(tmp_path: Path, capsys: pytest.Capt
     )]  # fmt: skip
     out = tmp_path / "again.mcap"
     assert main(["replay", *given, "--record", str(out), "--track", "8,150,110", "--track", "900,5,5"]) == 0
-    printed, said = capsys.readouterr()
+    printed, output = capsys.readouterr()
     lines = [json.loads(line) for line in printed.splitlines() if line.startswith("{")]
     assert len(lines) >= 3 and {line["track"] for line in lines} == {1} and lines[-1]["state"] == "followed"
-    assert "nothing could be followed at 5 5 of picture 900" in said
+    assert "nothing could be followed at 5 5 of picture 900" in output
     recorded = Recording(out).tracks("uav")
     assert [report.frame for report in recorded] == [line["frame"] for line in lines]
 

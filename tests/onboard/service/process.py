@@ -98,7 +98,7 @@ class Aircraft:
         report = self.report()
         return None if report is None else report.status
 
-    def said_since(self, unix_s: float, within_s: float = PATIENCE_S) -> VehicleStatus:
+    def reported_since(self, unix_s: float, within_s: float = PATIENCE_S) -> VehicleStatus:
         """The first status said at or after a moment of the daemon's clock."""
         deadline = time.monotonic() + within_s
         while (seen := self.status()) is None or seen.unix_s < unix_s:
@@ -123,7 +123,7 @@ class Aircraft:
             f"never {words}; log:\n" + "\n".join(self.log[-20:])
         )
         before = self.status()
-        self.said_since(0.0 if before is None else before.unix_s + 1e-3)
+        self.reported_since(0.0 if before is None else before.unix_s + 1e-3)
 
     def wait_for(self, *words: str, within_s: float = PATIENCE_S) -> float:
         """Until the state is one of these; seconds waited."""

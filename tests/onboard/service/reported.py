@@ -52,18 +52,18 @@ def inputs() -> st.SearchStrategy[Inputs]:
     return anything | st.builds(lambda a, n: replace(WELL, **{name: getattr(a, name) for name in n}), anything, few)
 
 
-def report_of(said: Inputs) -> Report:
+def report_of(reported: Inputs) -> Report:
     """As a session reports it, with figures that no one finds fault with."""
-    state = overall(said)
+    state = overall(reported)
     status = VehicleStatus(1.7e9, 7, state.state.value, state.reason, 60.0, 29.8, 29.0, 300, 0.125, 97)
     return Report(
         status,
-        replace(said.camera, figures=FIGURES),
-        replace(said.telemetry, figures=FIGURES),
-        judge(said),
+        replace(reported.camera, figures=FIGURES),
+        replace(reported.telemetry, figures=FIGURES),
+        judge(reported),
         Brightness(120.0, 0.01, 0.02),
-        said.gps,
-        threads=said.threads,
-        recording=RecordingReport(not said.recording_fault, said.recording_fault),
-        thermal_camera=said.thermal_camera,
+        reported.gps,
+        threads=reported.threads,
+        recording=RecordingReport(not reported.recording_fault, reported.recording_fault),
+        thermal_camera=reported.thermal_camera,
     )

@@ -189,7 +189,7 @@ def test_it_says_ready_feeds_the_watchdog_and_stops_when_asked() -> None:
     assert rig.closed == 1
 
 
-def test_a_configuration_that_cannot_be_used_is_raised_and_nothing_said_to_be_ready() -> None:
+def test_a_configuration_that_cannot_be_used_is_raised_and_nothing_reported_to_be_ready() -> None:
     rig = Rig()
     rig.open_error = InputError("camera file missing")
     rig.thread.start()
@@ -259,7 +259,7 @@ def test_a_silent_camera_that_calls_itself_well_starves_the_watchdog_a_lost_one_
         rig.wait_for(lambda: rig.states[-1] == "camera silent")
 
 
-def test_states_are_logged_once_and_said_to_the_pilot(caplog: pytest.LogCaptureFixture) -> None:
+def test_states_are_logged_once_and_reported_to_the_pilot(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
     with Rig() as rig:
         rig.wait_for(lambda: rig.states.count("bad picture") + rig.states.count("no gps") > 1)

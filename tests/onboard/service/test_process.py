@@ -84,10 +84,10 @@ def test_kill_9_leaves_a_recording_to_the_last_second_and_a_restart_goes_on(tmp_
         plane.start()
         plane.wait_for("ok")
         plane.sleep_until(8.0)
-        said = plane.said_since(0.0)
-        assert said.frame >= 8
+        printed = plane.reported_since(0.0)
+        assert printed.frame >= 8
         # It has lived for a second since, by its own clock.
-        plane.said_since(said.unix_s + 1.0)
+        plane.reported_since(printed.unix_s + 1.0)
         plane.signal(signal.SIGKILL)
         assert plane.ended() == -signal.SIGKILL
         plane.start()
@@ -96,7 +96,7 @@ def test_kill_9_leaves_a_recording_to_the_last_second_and_a_restart_goes_on(tmp_
         plane.signal(signal.SIGTERM)
         assert plane.ended() == 0
         first, second = plane.recordings
-        assert max(sets_of(plane, first)) >= said.frame
+        assert max(sets_of(plane, first)) >= printed.frame
         for recording in (first, second):
             outcome = clicked(plane, recording)
             assert len(outcome.errors_m) > 100, outcome.reported
@@ -143,19 +143,19 @@ def test_a_reload_in_flight(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "printed"),
     [
         ("[camera]\nrate = 5\n", "did you mean 'camera.rate_hz'?"),
         ("", "camera.file is not set"),
         ('[camera]\nfile = "/nonexistent/camera.json"\n', "/nonexistent/camera.json"),
     ],
 )
-def test_a_configuration_that_cannot_fly_is_one_line_and_exit_2(tmp_path: Path, text: str, said: str) -> None:
+def test_a_configuration_that_cannot_fly_is_one_line_and_exit_2(tmp_path: Path, text: str, printed: str) -> None:
     (tmp_path / "config.toml").write_text(text)
     done = pc_onboard("run", "--config", tmp_path / "config.toml")
     assert done.returncode == 2
     (line,) = done.stdout.splitlines()
-    assert said in line
+    assert printed in line
     assert main(["check-config", "--fly", str(tmp_path / "config.toml")]) == 2
 
 

@@ -84,8 +84,8 @@ def test_figures_are_in_base_units_under_their_rules() -> None:
 
 @unhurried
 @given(inputs())
-def test_every_metric_is_there_once_and_has_one_unit(said: Inputs) -> None:
-    families = list(metrics("kiwi", report_of(said)))
+def test_every_metric_is_there_once_and_has_one_unit(messages: Inputs) -> None:
+    families = list(metrics("kiwi", report_of(messages)))
     names = [family.name for family in families]
     assert len(names) == len(set(names))
     series = [(s.name, *sorted(s.labels.items())) for family in families for s in family.samples]

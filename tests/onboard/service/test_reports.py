@@ -22,9 +22,9 @@ from tests.onboard.service.reported import WELL, inputs, report_of, unhurried
 
 @unhurried
 @given(inputs())
-def test_a_report_is_the_same_there_and_back(said: Inputs) -> None:
+def test_a_report_is_the_same_there_and_back(messages: Inputs) -> None:
     report = replace(
-        report_of(said),
+        report_of(messages),
         pictures=PictureCounts(300, 40, 280, {"no_gps": 12, "starting": 8}, 0.25, 1, LeftOut(0.0, 0.1)),
         estimates=(Estimate(BORESIGHT, "radians", (0.01, -0.02, 0.0), (0.001,) * 3),),
         sensor_errors=(SensorError("heading", "deg", 3.8, 2.0),),

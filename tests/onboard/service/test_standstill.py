@@ -148,9 +148,9 @@ def test_px4_standing_on_the_ground_is_well() -> None:
     """It was `no gps: the position is not accepted` with a doctor that was green, as long as it stood."""
     states: list[str] = []
     lasting: list[Report] = []
-    with closing(reports(stated(3, True))) as said:
+    with closing(reports(stated(3, True))) as reported:
         while len(lasting) <= 40 or "low_parallax" not in lasting[-1].pictures.refused:
-            report = next(said, None)
+            report = next(reported, None)
             assert report is not None, states
             states.append(report.status.state)
             if lasting or states[-1] == "at rest":
@@ -163,8 +163,8 @@ def test_px4_standing_on_the_ground_is_well() -> None:
 
 def test_standing_there_without_a_fix_is_not_well_and_both_say_so() -> None:
     """A refusal of everything would pass the test above the other way about."""
-    with closing(reports(stated(1, False))) as said:
-        for number, report in enumerate(said):
+    with closing(reports(stated(1, False))) as reported:
+        for number, report in enumerate(reported):
             assert report.status.state not in ("ok", "at rest")
             assert not judged(report)["state"]
             assert not all(good for name, good in judged(report).items() if name != "state")

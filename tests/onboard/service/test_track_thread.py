@@ -63,9 +63,9 @@ def test_a_click_is_answered_at_once_and_reported_twice_a_second() -> None:
     assert report.course is not None and abs(report.course.speed_m_s - 4.0) < 0.4
     assert simulated.ask("") == ({"tracks": [1]}, False)
     assert simulated.ask("stop=1") == ({"tracks": []}, False)
-    said = len(simulated.sent)
+    reported = len(simulated.sent)
     simulated.fly(46, 60)
-    assert len(simulated.sent) == said
+    assert len(simulated.sent) == reported
 
 
 def test_the_same_question_again_begins_no_other_track() -> None:
@@ -88,18 +88,22 @@ def test_the_same_question_again_begins_no_other_track() -> None:
 def test_what_cannot_be_done_is_refused_with_its_reason(text: str, status: str) -> None:
     simulated = Simulated()
     simulated.fly(0, 16)
-    said, is_error = simulated.ask(text)
-    assert is_error and said["status"] == status and said["reason"]
+    reported, is_error = simulated.ask(text)
+    assert is_error and reported["status"] == status and reported["reason"]
     assert simulated.ask("") == ({"tracks": []}, False)
 
 
 def test_who_begins_and_ends_tracks_without_end_is_asked_to_wait() -> None:
     simulated = Simulated()
     simulated.fly(0, 16)
-    said = [
+    reported = [
         simulated.ask(simulated.click(15) if n % 2 == 0 else f"stop={n // 2 % 255 + 1}") for n in range(3 * MAX_ORDERS)
     ]
-    assert not said[MAX_ORDERS - 1][1] and said[MAX_ORDERS] == (said[-1][0], True) and said[-1][0]["status"] == "busy"
+    assert (
+        not reported[MAX_ORDERS - 1][1]
+        and reported[MAX_ORDERS] == (reported[-1][0], True)
+        and reported[-1][0]["status"] == "busy"
+    )
     simulated.tracks.work()
     assert not simulated.ask(simulated.click(15))[1]
 
@@ -113,8 +117,8 @@ def test_the_ninth_is_refused_until_one_is_stopped() -> None:
     simulated.fly(0, 16)
     for n in range(MOST_TRACKS):
         assert not simulated.ask(f"u={40 + 25 * n};v=100;frame=15")[1]
-    said, is_error = simulated.ask("u=160;v=160;frame=15")
-    assert is_error and said["status"] == "full"
+    reported, is_error = simulated.ask("u=160;v=160;frame=15")
+    assert is_error and reported["status"] == "full"
     simulated.fly(16, 18)
     assert simulated.ask("u=160;v=160;frame=15")[0]["status"] == "full"
     assert not simulated.ask("stop=3")[1] and not simulated.ask("u=160;v=160;frame=15")[1]

@@ -94,34 +94,34 @@ TABLE = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("said", "state", "reason"), TABLE)
-def test_the_state_has_one_word_and_its_reason(said: Inputs, state: VehicleState, reason: str) -> None:
-    assert overall(said) == Overall(state, reason)
+@pytest.mark.parametrize(("messages", "state", "reason"), TABLE)
+def test_the_state_has_one_word_and_its_reason(messages: Inputs, state: VehicleState, reason: str) -> None:
+    assert overall(messages) == Overall(state, reason)
 
 
 @unhurried
 @given(inputs())
-def test_all_is_well_only_when_everything_is(said: Inputs) -> None:
-    state = overall(said)
-    flows = said.outcome is Status.OK
-    rests = said.is_at_rest and said.outcome in (Status.STARTING, Status.LOW_PARALLAX, Status.FEATURELESS)
-    gps = said.gps
+def test_all_is_well_only_when_everything_is(messages: Inputs) -> None:
+    state = overall(messages)
+    flows = messages.outcome is Status.OK
+    rests = messages.is_at_rest and messages.outcome in (Status.STARTING, Status.LOW_PARALLAX, Status.FEATURELESS)
+    gps = messages.gps
     everything = (
-        said.camera.state is State.OK
-        and said.telemetry.state is State.OK
+        messages.camera.state is State.OK
+        and messages.telemetry.state is State.OK
         and (flows or rests)
         and gps is not None
         and gps.fix_type >= 3
         and gps.age_s < 3.0
         and (gps.sigma_horizontal_m is None or gps.sigma_horizontal_m <= 5.0)
-        and not said.position_fault
-        and not said.is_shedding
-        and not said.recording_fault
-        and all(thread.is_well for thread in said.threads)
-        and said.busy_s <= STUCK_S
-        and (said.picture_age_s is None or said.picture_age_s <= SILENT_S)
-        and not said.contradiction
-        and (said.thermal_camera is None or said.thermal_camera.state is State.OK)
+        and not messages.position_fault
+        and not messages.is_shedding
+        and not messages.recording_fault
+        and all(thread.is_well for thread in messages.threads)
+        and messages.busy_s <= STUCK_S
+        and (messages.picture_age_s is None or messages.picture_age_s <= SILENT_S)
+        and not messages.contradiction
+        and (messages.thermal_camera is None or messages.thermal_camera.state is State.OK)
     )
     assert state.state.is_well == everything
     assert (state.state is VehicleState.OK) == (everything and flows)
@@ -131,36 +131,36 @@ def test_all_is_well_only_when_everything_is(said: Inputs) -> None:
 
 @unhurried
 @given(inputs())
-def test_the_state_is_the_first_of_what_is_found_and_degradations_come_last(said: Inputs) -> None:
-    found = judge(said)
-    assert overall(said).state.is_well == (not found)
+def test_the_state_is_the_first_of_what_is_found_and_degradations_come_last(messages: Inputs) -> None:
+    found = judge(messages)
+    assert overall(messages).state.is_well == (not found)
     if found:
-        assert (overall(said).state, overall(said).reason) == (found[0].state, found[0].reason)
+        assert (overall(messages).state, overall(messages).reason) == (found[0].state, found[0].reason)
     degraded = [finding.state is VehicleState.DEGRADED for finding in found]
     assert degraded == sorted(degraded)
     assert all(finding.reason for finding in found)
 
 
 def test_with_the_camera_lost_all_else_that_is_not_well_is_found_too() -> None:
-    said = replace(WELL, camera=LOST, outcome=None, gps=replace(GPS, fix_type=0), recording_fault="disk full")
-    assert [finding.subject for finding in judge(said)] == [
+    messages = replace(WELL, camera=LOST, outcome=None, gps=replace(GPS, fix_type=0), recording_fault="disk full")
+    assert [finding.subject for finding in judge(messages)] == [
         Subject.CAMERA, Subject.GPS, Subject.ANSWERS, Subject.RECORDING,
     ]  # fmt: skip
 
 
 @unhurried
 @given(inputs())
-def test_a_daemon_that_is_well_is_alive_and_one_that_is_stuck_is_not(said: Inputs) -> None:
-    if overall(said).state.is_well:
-        assert is_alive(said)
-    if overall(said).state is VehicleState.STUCK:
-        assert not is_alive(said)
-    if overall(said).state is VehicleState.CAMERA_SILENT:
-        assert not is_alive(said)
+def test_a_daemon_that_is_well_is_alive_and_one_that_is_stuck_is_not(messages: Inputs) -> None:
+    if overall(messages).state.is_well:
+        assert is_alive(messages)
+    if overall(messages).state is VehicleState.STUCK:
+        assert not is_alive(messages)
+    if overall(messages).state is VehicleState.CAMERA_SILENT:
+        assert not is_alive(messages)
 
 
 @pytest.mark.parametrize(
-    ("said", "alive"),
+    ("messages", "alive"),
     [
         (WELL, True),
         (replace(WELL, busy_s=STUCK_S + 0.1), False),
@@ -172,8 +172,8 @@ def test_a_daemon_that_is_well_is_alive_and_one_that_is_stuck_is_not(said: Input
         (replace(WELL, telemetry=LOST, outcome=Status.UNSYNCHRONISED), True),
     ],
 )
-def test_the_watchdog_is_fed_while_pictures_flow_or_the_camera_says_why_not(said: Inputs, alive: bool) -> None:
-    assert is_alive(said) is alive
+def test_the_watchdog_is_fed_while_pictures_flow_or_the_camera_says_why_not(messages: Inputs, alive: bool) -> None:
+    assert is_alive(messages) is alive
 
 
 def test_people_are_warned_of_faults_louder_than_of_flying() -> None:

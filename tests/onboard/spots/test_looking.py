@@ -144,8 +144,8 @@ def test_what_is_seen_from_two_sides_teaches_how_the_second_camera_sits(caplog: 
                     look()
     before = Mount.stated(stated).covariance
     assert book.mount.covariance[1, 1] < 0.25 * before[1, 1]  # across: opposite on the way back
-    said = re.search(r"by 2 things on the ground: roll_deg .* yaw_deg ([0-9.]+) \(\+-", caplog.text)
-    assert said is not None and abs(float(said[1]) - 2.0) < 0.8
+    reported = re.search(r"by 2 things on the ground: roll_deg .* yaw_deg ([0-9.]+) \(\+-", caplog.text)
+    assert reported is not None and abs(float(reported[1]) - 2.0) < 0.8
     left = book.mount.R_first_second.T @ true
     assert abs(np.degrees(left[0, 2])) < 0.8
 

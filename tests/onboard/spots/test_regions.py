@@ -89,7 +89,7 @@ def test_what_goes_on_and_on_is_no_thing() -> None:
     assert len(tried) > 3 and not any(tried)
 
 
-def test_a_thing_at_the_edge_is_said_to_be_cut() -> None:
+def test_a_thing_at_the_edge_is_reported_to_be_cut() -> None:
     values = field()
     values[100:106, 316:] += 8.0
     c = contrast(values, GROUND, 0.6, 0.15)

@@ -190,7 +190,7 @@ def test_pictures_wait_for_the_set_after_them_and_each_is_given_once() -> None:
     assert len({one.nearest.frame for one in given}) == len(given)
 
 
-def test_when_the_first_camera_stops_pictures_are_given_up_after_a_while_and_said_to_have_no_place() -> None:
+def test_when_the_first_camera_stops_pictures_are_given_up_after_a_while_and_reported_to_have_no_place() -> None:
     pictures = BracketedPictures(rate_hz=2.0, late_s=2.0)
     for k in range(10):
         pictures.feature_set(TURN.first_set(k))

@@ -87,7 +87,7 @@ def test_a_pixels_fault_stays_on_the_picture_and_is_no_spot() -> None:
         assert report is not None and not report.spots
 
 
-def test_what_is_in_one_picture_alone_is_not_said() -> None:
+def test_what_is_in_one_picture_alone_is_not_reported() -> None:
     people, empty = Scene(CALM), Scene(replace(CALM, sources=()))
     book = SpotBook("uav-1", SpotsConfig(), CALIBRATED)
     for k in range(8):

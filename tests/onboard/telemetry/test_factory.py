@@ -117,7 +117,7 @@ def test_the_log_writer_begins_a_new_file_and_gives_up_quietly(tmp_path: Path) -
     assert nowhere.fault == "No such file or directory"
 
 
-def test_a_log_that_cannot_be_written_is_said_and_no_hindrance() -> None:
+def test_a_log_that_cannot_be_written_is_reported_and_no_hindrance() -> None:
     with (
         FakeAutopilot(FLIGHT, "udpin:127.0.0.1:0", everything=True) as autopilot,
         listening(config_for(autopilot.url, log="/proc/nowhere")) as received,

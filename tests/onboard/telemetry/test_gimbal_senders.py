@@ -187,7 +187,7 @@ def test_yaw_flags_that_change_change_the_frame_of_the_event() -> None:
     assert [e.reference for e in got[:10]] == ["vehicle"] * 10 and [e.reference for e in got[-10:]] == ["earth"] * 10
 
 
-def test_silence_is_said_and_what_is_damaged_is_silence() -> None:
+def test_silence_is_reported_and_what_is_damaged_is_silence() -> None:
     line = Line()
     line.run(4.0, lambda t: [(154, status(own(t)))])
     assert "gimbal" not in line.detail

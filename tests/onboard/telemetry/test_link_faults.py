@@ -146,17 +146,17 @@ def test_garbage_on_the_line_costs_only_itself() -> None:
         errors_ms(received.of(Attitude)[before:-5], expected(autopilot, received.clock))
 
 
-def test_nothing_but_garbage_is_said_to_be_that() -> None:
+def test_nothing_but_garbage_is_reported_to_be_that() -> None:
     autopilot = FakeAutopilot(FLIGHT, "pty")
     autopilot.mute(60.0)  # before it begins: a single packet of its own would refute what is to be said
     with autopilot, listening(config_for(autopilot.url)) as received:
 
-        def is_said() -> bool:
+        def is_reported() -> bool:
             time.sleep(0.1)
             autopilot.send_bytes(random.Random(1).randbytes(500))
             return "baud rate" in received.source.health().detail
 
-        received.until(is_said)
+        received.until(is_reported)
         assert received.source.health().state is State.STARTING
 
 
@@ -182,7 +182,7 @@ def test_a_vehicle_that_is_not_there_is_waited_for() -> None:
         assert not received.got
 
 
-def test_what_is_said_reaches_the_line_in_pieces_that_belong_together() -> None:
+def test_what_is_reported_reaches_the_line_in_pieces_that_belong_together() -> None:
     with both_libraries() as pairs:
         for _, received in pairs:
             received.wait(State.OK)
@@ -214,7 +214,7 @@ def test_signed_both_ways_and_nothing_unsigned_is_accepted(tmp_path: Path) -> No
         assert not [fix for fix in received.of(PositionFix) if abs(fix.lat_deg) < 1.0]
 
 
-def test_a_wrong_key_is_said_to_be_that(tmp_path: Path) -> None:
+def test_a_wrong_key_is_reported_to_be_that(tmp_path: Path) -> None:
     key = tmp_path / "key"
     key.write_bytes(bytes(32))
     with (
@@ -227,7 +227,7 @@ def test_a_wrong_key_is_said_to_be_that(tmp_path: Path) -> None:
         assert not autopilot.received_of("TIMESYNC")
 
 
-def test_a_port_in_use_is_said_and_waited_for() -> None:
+def test_a_port_in_use_is_reported_and_waited_for() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(("127.0.0.1", port := free_udp_port()))
         with listening(config_for(f"udpin:127.0.0.1:{port}")) as received:

@@ -176,7 +176,7 @@ def test_a_damaged_log_gives_the_rest_or_one_line(tmp_path: Path, kind: str) -> 
 
 
 @pytest.mark.parametrize(
-    ("content", "said"),
+    ("content", "reported"),
     [
         (b"", "is empty"),
         (b"FMT, 128, 89, FMT, BBnNZ, Type,Length", "a DataFlash log as text"),
@@ -192,12 +192,12 @@ def test_a_damaged_log_gives_the_rest_or_one_line(tmp_path: Path, kind: str) -> 
         (b"1\n00:00:00,000 --> 00:00:01,000\nHello\n", "no position in its subtitles"),
     ],
 )
-def test_what_is_no_log_is_one_line(tmp_path: Path, content: bytes, said: str) -> None:
+def test_what_is_no_log_is_one_line(tmp_path: Path, content: bytes, reported: str) -> None:
     path = tmp_path / "x"
     path.write_bytes(content)
     with pytest.raises(InputError) as caught:
         read_log(path)
-    assert said in str(caught.value) and "\n" not in str(caught.value)
+    assert reported in str(caught.value) and "\n" not in str(caught.value)
 
 
 def test_a_missing_file_is_one_line(tmp_path: Path) -> None:
@@ -346,7 +346,7 @@ def test_dialects_without_a_height_above_the_sea_ask_for_the_take_off_s(tmp_path
 
 
 @pytest.mark.parametrize(
-    ("text", "home_amsl_m", "said"),
+    ("text", "home_amsl_m", "reported"),
     [
         ("[latitude : -35.080155] [longtitude : -60.286702]", 100.0, "positions without any height"),
         ("[latitude: 48.1] [longitude: 11.5] [abs_alt: 212.3]", 100.0, "leave --home-amsl-m out"),
@@ -354,17 +354,17 @@ def test_dialects_without_a_height_above_the_sea_ask_for_the_take_off_s(tmp_path
     ],
 )
 def test_subtitles_that_cannot_be_used_are_one_line(
-    tmp_path: Path, text: str, home_amsl_m: float | None, said: str
+    tmp_path: Path, text: str, home_amsl_m: float | None, reported: str
 ) -> None:
     path = tmp_path / "a.srt"
     path.write_text(SRT_HEAD + text + "\n", encoding="utf-8")
-    with pytest.raises(InputError, match=said) as caught:
+    with pytest.raises(InputError, match=reported) as caught:
         read_log(path, home_amsl_m=home_amsl_m)
     assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    ("line", "said"),
+    ("line", "reported"),
     [
         ("1795217000,91,172,350", "line 3: lat_deg '91' is not a number that it can be"),
         ("1795217000,-43,x,350", "line 3: lon_deg 'x'"),
@@ -373,12 +373,12 @@ def test_subtitles_that_cannot_be_used_are_one_line(
         ("1795217000,-43,172", "line 3: not as many cells"),
     ],
 )
-def test_a_bad_line_of_a_table_is_named(tmp_path: Path, line: str, said: str) -> None:
+def test_a_bad_line_of_a_table_is_named(tmp_path: Path, line: str, reported: str) -> None:
     path = tmp_path / "a.csv"
     path.write_text(f"unix_time_s,lat_deg,lon_deg,height_amsl_m\n1795217000,-43,172,350\n{line}\n")
     with pytest.raises(InputError) as caught:
         read_log(path)
-    assert said in str(caught.value)
+    assert reported in str(caught.value)
 
 
 def test_a_column_that_is_not_known_is_named_and_not_left_out(tmp_path: Path) -> None:

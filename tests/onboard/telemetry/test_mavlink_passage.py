@@ -120,6 +120,6 @@ def test_px4_is_asked_for_no_parameter_it_would_report_to_its_pilot(passage: Pas
 
 
 @pytest.mark.parametrize("text", ['url = "nmea:/dev/ttyUSB0:9600"', 'backend = "mavsdk"'])
-def test_without_an_autopilot_to_pass_through_it_is_said(tunnel: Tunnel, text: str) -> None:
+def test_without_an_autopilot_to_pass_through_it_is_reported(tunnel: Tunnel, text: str) -> None:
     with pytest.raises(ConfigError, match=r"link\.mavlink needs a live autopilot"):
         open_telemetry(parse_config(f"[telemetry]\n{text}\n"), SessionClock.start(), tunnel)

@@ -93,7 +93,7 @@ def test_health_says_so_where_the_clock_is_not_known_by_timesync(other_clock_s: 
     assert lenient(simulated.fly(20.0)) == ""
 
 
-def test_a_clock_known_badly_is_said_to_be() -> None:
+def test_a_clock_known_badly_is_reported_to_be() -> None:
     simulated = Simulated()
     simulated.fly(5.0)
     for _ in range(100):  # half of 200 ms, evenly: 58 ms

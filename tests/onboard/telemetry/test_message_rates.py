@@ -173,7 +173,7 @@ def test_how_often_a_grant_that_is_not_kept_is_claimed() -> None:
     assert "ATTITUDE at 4.0 Hz where 50 were granted" in played.requests.complaint()
 
 
-def test_what_is_denied_altogether_is_said() -> None:
+def test_what_is_denied_altogether_is_reported() -> None:
     played = Played(lambda name, hz: FAILED if "POSITION" in name else ACCEPTED)
     played.fly(10.0)
     assert played.requests.complaint() == "no GLOBAL_POSITION_INT: the autopilot denies it"

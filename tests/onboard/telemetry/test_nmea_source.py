@@ -112,7 +112,7 @@ def test_missing_sentences_do_not_hold_back_what_came() -> None:
     assert sum(fix.velocity_ned_m_s is None for fix in fixes(events)) == 4
 
 
-def test_without_heights_there_is_no_position_and_it_is_said_why() -> None:
+def test_without_heights_there_is_no_position_and_it_is_reported_why() -> None:
     events = feed(NmeaReceiver(), [(i * 1.0, rmc(NOON + i, 1.0, 2.0)) for i in range(3)])
     assert [quality.fix_type for quality in qualities(events)] == [2, 2, 2]
     assert not fixes(events)

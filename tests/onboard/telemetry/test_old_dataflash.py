@@ -133,15 +133,15 @@ def test_a_first_filter_that_leaves_the_receiver_is_not_taken_for_the_position(t
 
 
 @pytest.mark.parametrize(
-    ("status", "week", "said"), [(1, True, "never had a 3D fix"), (3, False, "no GPS week"), (None, True, "2014")]
+    ("status", "week", "reported"), [(1, True, "never had a 3D fix"), (3, False, "no GPS week"), (None, True, "2014")]
 )
-def test_a_log_that_cannot_be_timed_says_why(tmp_path: Path, status: int | None, week: bool, said: str) -> None:
+def test_a_log_that_cannot_be_timed_says_why(tmp_path: Path, status: int | None, week: bool, reported: str) -> None:
     kinds = COPTER_32
     log = simulated(kinds, status=status or 3, week=week)
     if status is None:
         log = Log(kinds)
         log.add("ATT", 1.0)
         log.add("IMU", 1.0)
-    with pytest.raises(InputError, match=said) as caught:
+    with pytest.raises(InputError, match=reported) as caught:
         read_log(log.write(tmp_path / "17.BIN"))
     assert "\n" not in str(caught.value)

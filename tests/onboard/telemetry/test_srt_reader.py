@@ -177,6 +177,6 @@ def test_digital_zoom_is_read_in_every_way_it_is_written(tmp_path: Path, text: s
 
 
 @pytest.mark.parametrize(("word", "is_on"), [("normal", True), ("close", False), ("rocksteady", True), ("off", False)])
-def test_stabilisation_that_was_on_is_said(tmp_path: Path, word: str, is_on: bool) -> None:
+def test_stabilisation_that_was_on_is_reported(tmp_path: Path, word: str, is_on: bool) -> None:
     notes = read(tmp_path, f"{PLACE} [vsync: 0] [eis: {word}] [shift x: 0.00, y: 0.00]").notes
     assert any("stabilisation was on" in note and word in note for note in notes) is is_on

@@ -209,7 +209,7 @@ def test_a_wrong_arrival_stamp_loses_one_message(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("content", "said"),
+    ("content", "reported"),
     [
         (b"", "is empty"),
         (b"this is not telemetry" * 100, "not a MAVLink telemetry log"),
@@ -217,10 +217,10 @@ def test_a_wrong_arrival_stamp_loses_one_message(tmp_path: Path) -> None:
         (b"\xfd", "not a MAVLink telemetry log"),
     ],
 )
-def test_a_file_that_is_no_log_is_refused_in_one_line(tmp_path: Path, content: bytes, said: str) -> None:
+def test_a_file_that_is_no_log_is_refused_in_one_line(tmp_path: Path, content: bytes, reported: str) -> None:
     path = tmp_path / "x.tlog"
     path.write_bytes(content)
-    with pytest.raises(InputError, match=said) as caught:
+    with pytest.raises(InputError, match=reported) as caught:
         read_tlog(path)
     assert "\n" not in str(caught.value)
 

@@ -22,7 +22,7 @@ def fly(
     world: World, pictures: range, clicks: dict[int, Thing], *, clicked: int, asked: int | None = None
 ) -> tuple[TrackBook, dict[int, dict[int, TrackReport]]]:
     """Through the pictures; each thing is clicked in picture `clicked`, and asked for after picture `asked`."""
-    book, said = TrackBook("uav-1"), {number: dict[int, TrackReport]() for number in clicks}
+    book, reported = TrackBook("uav-1"), {number: dict[int, TrackReport]() for number in clicks}
     for number in pictures:
         book.picture(world.frame(number), world.its_set(number))
         if number == (clicked if asked is None else asked):
@@ -30,8 +30,8 @@ def fly(
                 u, v = world.pixel(thing, clicked) + np.array([0.7, -0.6])
                 assert book.start(track, (float(u), float(v)), clicked)
         for report in book.reports():
-            said[report.number][number] = report
-    return book, said
+            reported[report.number][number] = report
+    return book, reported
 
 
 def off_px(world: World, thing: Thing, reports: dict[int, TrackReport]) -> float:
@@ -50,9 +50,9 @@ def test_what_moves_is_given_its_speed_and_course(speed: float, is_flying: bool)
     velocity = speed * math.sin(course), speed * math.cos(course)
     walker = Thing(at(-22.0 if speed > 2.0 else -8.0, -6.0, velocity), 1.0)
     world = World((walker,), camera=at(0.0, 0.0, (0.7 * velocity[0], 0.5 * velocity[1])) if is_flying else at(0.0, 0.0))
-    _, said = fly(world, range(75), {1: walker}, clicked=12)
-    last = said[1][74]
-    assert last.state is TrackState.FOLLOWED and off_px(world, walker, said[1]) < 2.5
+    _, reported = fly(world, range(75), {1: walker}, clicked=12)
+    last = reported[1][74]
+    assert last.state is TrackState.FOLLOWED and off_px(world, walker, reported[1]) < 2.5
     c = last.course
     assert c is not None and c.course_deg is not None and c.sigma_course_deg is not None
     assert abs(c.speed_m_s - speed) < min(0.3, 3.0 * c.sigma_speed_m_s) and 0.005 < c.sigma_speed_m_s < 0.5
@@ -62,8 +62,8 @@ def test_what_moves_is_given_its_speed_and_course(speed: float, is_flying: bool)
 def test_its_place_is_off_by_what_the_pose_is_off_and_its_speed_is_not() -> None:
     car = Thing(at(-15.0, 0.0, (5.0, 0.0)), 2.0)
     world = World((car,))
-    _, said = fly(world, range(60), {1: car}, clicked=15)
-    last = said[1][59]
+    _, reported = fly(world, range(60), {1: car}, clicked=15)
+    last = reported[1][59]
     assert last.place is not None and last.course is not None
     off = PLACE.to_enu(last.place.lat_deg, last.place.lon_deg, 100.0)[:2] - car.place(5.9)
     assert np.abs(off - [0.8, -0.5]).max() < 0.3  # as `World.its_set` has it
@@ -74,10 +74,10 @@ def test_its_place_is_off_by_what_the_pose_is_off_and_its_speed_is_not() -> None
 def test_what_stands_is_at_rest_and_has_no_course() -> None:
     parked = Thing(at(3.0, 4.0), 3.0)
     world = World((parked,), camera=at(-4.0, 0.0, (1.5, 0.0)))
-    _, said = fly(world, range(70), {1: parked}, clicked=12)
-    stated = [r.course for n, r in said[1].items() if r.course is not None]
+    _, reported = fly(world, range(70), {1: parked}, clicked=12)
+    stated = [r.course for n, r in reported[1].items() if r.course is not None]
     assert len(stated) > 40 and not any(c.is_moving for c in stated)
-    assert stated[-1].sigma_speed_m_s < 0.2 and "at rest" in said[1][69].course_text
+    assert stated[-1].sigma_speed_m_s < 0.2 and "at rest" in reported[1][69].course_text
 
 
 def test_what_stops_comes_to_rest_and_what_starts_moves_again() -> None:
@@ -86,31 +86,31 @@ def test_what_stops_comes_to_rest_and_what_starts_moves_again() -> None:
 
     walker = Thing(place, 0.8)
     world = World((walker,))
-    _, said = fly(world, range(140), {1: walker}, clicked=12)
-    moving = {n: r.course.is_moving for n, r in said[1].items() if r.course is not None}
+    _, reported = fly(world, range(140), {1: walker}, clicked=12)
+    moving = {n: r.course.is_moving for n, r in reported[1].items() if r.course is not None}
     assert moving[38] and not moving[85] and moving[130]
-    assert off_px(world, walker, said[1]) < 4.0
+    assert off_px(world, walker, reported[1]) < 4.0
 
 
 def test_a_click_that_is_a_second_old_is_followed_from_its_picture_on() -> None:
     car = Thing(at(-18.0, 3.0, (6.0, 0.0)), 2.0)
     world = World((car,))
-    _, said = fly(world, range(50), {1: car}, clicked=15, asked=26)
-    assert min(said[1]) == 26 and off_px(world, car, said[1]) < 2.0
-    assert said[1][26].course is not None  # known already, of the pictures since
+    _, reported = fly(world, range(50), {1: car}, clicked=15, asked=26)
+    assert min(reported[1]) == 26 and off_px(world, car, reported[1]) < 2.0
+    assert reported[1][26].course is not None  # known already, of the pictures since
 
 
-def test_a_thing_that_hides_is_said_to_coast_within_a_second_and_is_found_again() -> None:
+def test_a_thing_that_hides_is_reported_to_coast_within_a_second_and_is_found_again() -> None:
     walker = Thing(at(-10.0, 0.0, (2.0, 0.0)), 1.0, until_s=4.0, again_s=5.4)
     world = World((walker,))
-    _, said = fly(world, range(85), {1: walker}, clicked=12)
-    states = {n: r.state for n, r in said[1].items()}
+    _, reported = fly(world, range(85), {1: walker}, clicked=12)
+    states = {n: r.state for n, r in reported[1].items()}
     hidden = [n for n in range(40, 54) if states[n] is TrackState.COASTING]
-    assert hidden and hidden[0] - 40 < RATE_HZ and said[1][hidden[0]].unseen is Unseen.HIDDEN
+    assert hidden and hidden[0] - 40 < RATE_HZ and reported[1][hidden[0]].unseen is Unseen.HIDDEN
     assert states[65] is TrackState.FOLLOWED
-    last = said[1][84]
+    last = reported[1][84]
     assert np.hypot(*(world.pixel(walker, 84) - (last.u_px, last.v_px))) < 1.5
-    ellipses = [said[1][n].place for n in (39, hidden[-1])]
+    ellipses = [reported[1][n].place for n in (39, hidden[-1])]
     assert ellipses[0] is not None and ellipses[1] is not None
     assert ellipses[1].ellipse.semi_major_m > ellipses[0].ellipse.semi_major_m
 
@@ -119,44 +119,44 @@ def test_a_thing_that_is_gone_is_lost_and_then_forgotten() -> None:
     walker = Thing(at(-8.0, 0.0, (2.0, 0.0)), 1.0, until_s=3.5)
     world = World((walker,))
     gone_by = 35 + round((2.5 + 1.0 + REPORT_LOST_S) * RATE_HZ)
-    book, said = fly(world, range(gone_by + 5), {1: walker}, clicked=12)
-    states = [r.state for r in said[1].values()]
+    book, reported = fly(world, range(gone_by + 5), {1: walker}, clicked=12)
+    states = [r.state for r in reported[1].values()]
     assert TrackState.LOST in states and states[-1] is TrackState.LOST
     assert not book.reports() and not book.numbers
-    first_lost = next(n for n, r in said[1].items() if r.state is TrackState.LOST)
+    first_lost = next(n for n, r in reported[1].items() if r.state is TrackState.LOST)
     assert 20 <= first_lost - 35 <= 35
 
 
-def test_what_leaves_the_picture_is_said_to_have_left_it() -> None:
+def test_what_leaves_the_picture_is_reported_to_have_left_it() -> None:
     car = Thing(at(5.0, 0.0, (9.0, 0.0)), 2.0)
     world = World((car,))
-    _, said = fly(world, range(55), {1: car}, clicked=12)
-    assert said[1][40].unseen is Unseen.OFF_PICTURE and said[1][54].state is TrackState.LOST
+    _, reported = fly(world, range(55), {1: car}, clicked=12)
+    assert reported[1][40].unseen is Unseen.OFF_PICTURE and reported[1][54].state is TrackState.LOST
 
 
 def test_twins_that_cross_keep_their_numbers() -> None:
     one, two = Thing(at(-9.0, 0.0, (1.8, 0.0)), 1.0), Thing(at(0.0, -9.0, (0.0, 1.8)), 1.0)
     world = World((one, two))
-    _, said = fly(world, range(95), {1: one, 2: two}, clicked=12)
+    _, reported = fly(world, range(95), {1: one, 2: two}, clicked=12)
     for number, thing in ((1, one), (2, two)):
-        last = said[number][94]
+        last = reported[number][94]
         assert np.hypot(*(world.pixel(thing, 94) - (last.u_px, last.v_px))) < 2.0
 
 
 def test_an_exposure_that_hunts_is_no_motion() -> None:
     parked = Thing(at(3.0, 4.0), 2.0)
     world = World((parked,), gain=lambda t: 1.0 + 0.15 * math.sin(2.0 * t))
-    _, said = fly(world, range(60), {1: parked}, clicked=12)
-    assert said[1][59].state is TrackState.FOLLOWED and off_px(world, parked, said[1]) < 1.5
-    assert not any(r.course.is_moving for r in said[1].values() if r.course is not None)
+    _, reported = fly(world, range(60), {1: parked}, clicked=12)
+    assert reported[1][59].state is TrackState.FOLLOWED and off_px(world, parked, reported[1]) < 1.5
+    assert not any(r.course.is_moving for r in reported[1].values() if r.course is not None)
 
 
 def test_without_sets_that_answer_a_thing_is_followed_and_has_no_place() -> None:
     car = Thing(at(-10.0, 0.0, (4.0, 0.0)), 2.0)
     world = World((car,), status=Status.LOW_PARALLAX)
-    _, said = fly(world, range(40), {1: car}, clicked=15)
-    last = said[1][39]
-    assert last.state is TrackState.FOLLOWED and off_px(world, car, said[1]) < 2.0
+    _, reported = fly(world, range(40), {1: car}, clicked=15)
+    last = reported[1][39]
+    assert last.state is TrackState.FOLLOWED and off_px(world, car, reported[1]) < 2.0
     assert last.place is None and last.course is None and last.status is not Status.OK
 
 
