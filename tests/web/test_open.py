@@ -73,15 +73,15 @@ def test_one_command_from_the_card_to_an_answered_click(
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     arguments = made(session, tmp_path)
     first = opened(*arguments)
-    assert first.url, first.reported
+    assert first.url, first.printed
     for words in ("camera", "mount", "log", "--set", "solved"):
-        assert words in first.reported
+        assert words in first.printed
     _answers(chromium, first)
     first.close()
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     assert after.ru_utime - before.ru_utime < LIMIT_S
     again = opened(*arguments)  # without a replay; and a session is opened as it is
-    assert "replayed before" in again.reported
+    assert "replayed before" in again.printed
     (recorded,) = (tmp_path / "home").rglob("session.mcap")
     third = opened(recorded)
     _answers(chromium, third)
@@ -110,7 +110,7 @@ def test_a_session_without_pictures_says_why_and_what_helps(
         path.unlink()
     camera = f"camera.file={session / 'camera.json'}"
     bare = opened(tmp_path / "photos", "--set", camera, "--set", "recording.pictures=none")
-    assert "holds no pictures" in bare.reported and "--video" in bare.reported
+    assert "holds no pictures" in bare.printed and "--video" in bare.printed
     with urllib.request.urlopen(f"{bare.url}api/status", timeout=PATIENCE_S) as reported:
         assert "--video" in json.load(reported)["no_pictures"]
 
@@ -173,5 +173,5 @@ def test_what_is_missing_is_reported_in_a_line(
     session: Path, tmp_path: Path, opened: Callable[..., Opened], made: Callable[..., list[object]], reported: str
 ) -> None:
     ended = opened(*made(session, tmp_path))
-    assert ended.process.returncode == 2 and reported in ended.reported, ended.reported
-    assert ended.reported.count("\n") == 1, ended.reported
+    assert ended.process.returncode == 2 and reported in ended.printed, ended.printed
+    assert ended.printed.count("\n") == 1, ended.printed

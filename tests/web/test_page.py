@@ -259,8 +259,8 @@ def test_a_server_that_is_killed_and_started_again_has_lost_nothing(anna: Operat
 
 def test_other_machines_need_the_token_and_the_first_page_is_small_and_its_own(serve: Serve, chromium: Any) -> None:
     server = serve("--host", "0.0.0.0")
-    assert "NO TLS" in server.reported
-    assert "▄" in server.reported  # the QR code
+    assert "NO TLS" in server.printed
+    assert "▄" in server.printed  # the QR code
     link, base = server.url, server.local
     assert "?token=" in link
     context = chromium.new_context()

@@ -342,7 +342,7 @@ def test_a_viewer_is_shown_places_and_has_nothing_to_press(tmp_path: Path, chrom
     )  # fmt: skip
     try:
         assert server.url.endswith(OPERATOR_TOKEN)
-        found = re.search(r"to look and change nothing: (\S+)", server.reported)
+        found = re.search(r"to look and change nothing: (\S+)", server.printed)
         assert found is not None and found[1].endswith(VIEWER_TOKEN)
         server.url = found[1]
         ben = Operator(chromium, server)
