@@ -48,6 +48,8 @@ POSITION_HZ, ATTITUDE_HZ, QUALITY_HZ = 10.0, 20.0, 2.0
 WAVES = 16
 HILLS_LENGTH_M, HILLS_M = 1000.0, 12.0
 COUNTRY_LENGTHS_M, COUNTRY_POWER, COUNTRY_M, COUNTRY_WAVES = (20.0, 2000.0), 0.8, 25.0, 200
+GRAZING = 0.7  # slope of a ray, below which one hill may hide another
+FARTHEST, STEPS = 13.0, 130  # heights above ground as far as rays are followed; steps in which their ground is found
 TERRAIN_NODE_M = 20.0
 GYRO_STEP_S = 0.01
 LEAST_SEEN = 6  # features, below which no motion can be determined
@@ -101,12 +103,42 @@ class Ground:
         return out
 
     def meet(self, centre: Array, rays: Array) -> Array:
-        """Where rays (N, 3), ENU axes, from a centre (3,) or (N, 3) well above the ground meet it: (N, 3)."""
+        """Where rays (N, 3), ENU axes, from a centre (3,) or (N, 3) above the ground meet it first: (N, 3).
+
+        Downward rays, and as far as `FARTHEST` heights above ground: those that meet none before end there.
+        """
         depth = -centre[..., 2] / rays[:, 2]
         for _ in range(60):
             points = centre + rays * depth[:, None]
             depth = depth - 0.6 * (points[:, 2] - self.height_m(points[:, :2])) / rays[:, 2]
+        grazing = np.flatnonzero(-rays[:, 2] < GRAZING * np.hypot(rays[:, 0], rays[:, 1]))
+        if len(grazing):
+            first = self._first(np.broadcast_to(centre, rays.shape)[grazing], rays[grazing])
+            clearance_m = np.abs(self._clearance_m(centre, rays, depth)[grazing])
+            wrong = (clearance_m > 0.01) | (first < 0.99 * depth[grazing])
+            depth[grazing[wrong]] = first[wrong]
         return np.asarray(centre + rays * depth[:, None], float)
+
+    def _clearance_m(self, centre: Array, rays: Array, depth: Array) -> Array:
+        """How far above the ground rays (..., 3) are at some depths (...)."""
+        points = centre + rays * depth[..., None]
+        out: Array = points[..., 2] - self.height_m(points[..., :2])
+        return out
+
+    def _first(self, centres: Array, rays: Array) -> Array:
+        """The depth (N,) at which rays (N, 3) meet the ground first, whatever hides behind it."""
+        height_m = centres[:, 2] - self.height_m(centres[:, :2])
+        most = FARTHEST * height_m / np.linalg.norm(rays, axis=1)
+        depths = most[:, None] * np.linspace(0.0, 1.0, STEPS + 1)
+        under = self._clearance_m(centres[:, None], rays[:, None], depths) < 0.0
+        step = np.where(under.any(axis=1), np.argmax(under, axis=1), STEPS + 1) - 1
+        low = most / STEPS * np.minimum(step, STEPS)
+        high = np.minimum(low + most / STEPS, most)
+        for _ in range(24):
+            half = 0.5 * (low + high)
+            is_over = self._clearance_m(centres, rays, half) > 0.0
+            low, high = np.where(is_over, half, low), np.where(is_over, high, half)
+        return np.asarray(low, float)
 
 
 class Hills(Ground):

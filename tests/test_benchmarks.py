@@ -340,6 +340,23 @@ def test_hills_slope_by_as_much_as_they_state_and_leave_home_at_its_height(
     assert parse_config("").solve.level_ground_sigma_deg == 3.5
 
 
+@pytest.mark.parametrize("kind", [Hills, HillCountry])
+def test_a_ray_shows_the_ground_that_it_meets_first(kind: type[Ground]) -> None:
+    rng = np.random.default_rng(5)
+    ground = kind(rng, np.array([0.1, -0.1]), 6.0, 200.0)
+    centre = np.array([0.0, 0.0, 90.0])
+    bearing, down = rng.uniform(0.0, 2.0 * np.pi, 200), np.tan(np.radians(rng.uniform(3.0, 80.0, 200)))
+    rays = np.stack([np.sin(bearing), np.cos(bearing), -down], axis=1)
+    points = ground.meet(centre, rays)
+    far = np.linalg.norm(points - centre, axis=1) > 12.0 * (90.0 - ground.height_m(np.zeros(2)))
+    assert 0.0 < np.mean(far) < 0.3
+    off_m = points[:, 2] - ground.height_m(points[:, :2])
+    assert np.abs(off_m[~far]).max() < 0.01
+    between = centre + np.linspace(0.0, 0.99, 500)[:, None, None] * (points - centre)
+    hidden = np.any(between[..., 2] < ground.height_m(between[..., :2]), axis=0)
+    assert not hidden.any()
+
+
 @pytest.mark.long
 def test_what_a_mechanism_buys_is_seen_on_its_own_flight() -> None:
     """Rows that vibrate, with and without the waves: with them a third more is answered, nearer, inside its ellipse."""

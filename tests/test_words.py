@@ -61,11 +61,7 @@ def files_in(places: Iterable[str]) -> list[Path]:
     """The texts in some folders, or the files themselves."""
     found = [p for place in places for p in ([ROOT / place] if (ROOT / place).is_file() else (ROOT / place).rglob("*"))]
     return sorted(
-        path
-        for path in found
-        if path.suffix in SUFFIXES
-        and not GENERATED & set(path.parts)
-        and path != Path(__file__)
+        path for path in found if path.suffix in SUFFIXES and not GENERATED & set(path.parts) and path != Path(__file__)
     )
 
 
