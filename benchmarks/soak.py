@@ -85,7 +85,7 @@ def soak(
             finally:
                 process.kill()
             reader.join(5.0)
-    out.said, out.gap_s, out.gap_wall_s = dict(manager.counts), manager.longest_flight_s, manager.longest_wall_s
+    out.notified, out.gap_s, out.gap_wall_s = dict(manager.counts), manager.longest_flight_s, manager.longest_wall_s
     out.recorded_sets = recorded_sets(plan.recordings, simulated.config.vehicle.id)
     clock.close()
     return out

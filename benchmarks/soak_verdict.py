@@ -70,7 +70,7 @@ class Soak:
     minutes: list[Minute] = field(default_factory=list)
     code: int | None = None
     log: list[str] = field(default_factory=list)
-    said: dict[str, int] = field(default_factory=dict)
+    notified: dict[str, int] = field(default_factory=dict)
     states: dict[str, int] = field(default_factory=dict)
     gap_s: float = 0.0
     gap_wall_s: float = 0.0
@@ -109,12 +109,12 @@ class Soak:
             out.append((f"memory: {100 * growth:+.1f} % after {WARM_UP_MINUTES} min ({goal})", growth < GOAL_GROWTH))
             out.append((f"threads: {threads:+d}, files: {files:+d} (goal +0)", max(threads, files) <= 0))
         limit_s = watchdog_s()
-        fed = self.said.get("WATCHDOG=1", 0)
+        fed = self.notified.get("WATCHDOG=1", 0)
         out.append(
             (
                 f"watchdog: fed {fed} times, at most {self.gap_s:.2f} s apart ({self.gap_wall_s:.2f} s wall); "
                 f"WatchdogSec is {limit_s:.0f} s",
-                fed > 0 and max(self.gap_s, self.gap_wall_s) < limit_s and self.said.get("READY=1", 0) == 1,
+                fed > 0 and max(self.gap_s, self.gap_wall_s) < limit_s and self.notified.get("READY=1", 0) == 1,
             )
         )
         last = self.minutes[-1] if self.minutes else None

@@ -47,7 +47,7 @@ def run(minutes: int, **last: float) -> Soak:
         Faults(),
         rows,
         code=0,
-        said={"READY=1": 1, "WATCHDOG=1": 200},
+        notified={"READY=1": 1, "WATCHDOG=1": 200},
         asked=9,
         answered=9,
         gap_s=0.4,
@@ -85,8 +85,8 @@ def test_a_minute_through_every_fault_passes(simulated: Leg, cache: Path, tmp_pa
     # The figures are written a moment before what has come is counted.
     assert 0.9 * minute.sent <= minute.received <= 1.1 * minute.sent
     assert 0 < minute.sent < minute.sets
-    assert done.said["STOPPING=1"] == 1
-    assert done.said["WATCHDOG=1"] > 60
+    assert done.notified["STOPPING=1"] == 1
+    assert done.notified["WATCHDOG=1"] > 60
     assert 0.1 < done.gap_s < 10.0
     assert "camera, telemetry, GPS" in done.report()
 
@@ -116,8 +116,8 @@ def test_less_than_the_goals_passes() -> None:
     [
         {"gap_s": 10.5},
         {"gap_wall_s": 10.5},
-        {"said": {"READY=1": 2, "WATCHDOG=1": 200}},
-        {"said": {"READY=1": 1}},
+        {"notified": {"READY=1": 2, "WATCHDOG=1": 200}},
+        {"notified": {"READY=1": 1}},
         {"log": ["2026-11-21 06:07:37,107 ERROR   the pipeline failed"]},
         {"log": ["Traceback (most recent call last):"]},
         {"log": ["<3>the pipeline failed"]},
