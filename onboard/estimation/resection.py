@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,14 @@ Mask = NDArray[np.bool_]
 _SETTLED = np.array([1e-5] * 3 + [1e-2] * 3 + [1e-3] * 3)
 
 
+class Sighted(NamedTuple):
+    """Points (N, 3), ENU m, their normalised image coordinates (N, 2) in one view, and 1 / sigma of these (N,)."""
+
+    points_enu_m: Array
+    xy: Array
+    weight: Array
+
+
 @dataclass(frozen=True, eq=False)
 class Resection:
     """A pose, its information (6, 6) from pixels and prior (points taken as known), and how the pixels fit."""
@@ -35,9 +44,7 @@ class Resection:
 
 
 def resect(
-    points_enu_m: Array,
-    xy: Array,
-    weight: Array,
+    seen: Sighted,
     R_cam_enu: Array,
     centre_enu_m: Array,
     prior_sigma: Array,
@@ -48,8 +55,8 @@ def resect(
 ) -> Resection:
     """Gauss-Newton from a starting pose, which is also the prior with `prior_sigma` (6,): rad (camera axes), m (ENU).
 
-    `points_enu_m` (N, 3), normalised image coordinates `xy` (N, 2), `weight` (N,) 1 / sigma. `start`: rotation and
-    centre to begin from, if better ones are known. `sweep`: of this one view, where `xy` is what its rows saw.
+    `start`: rotation and centre to begin from, if better ones are known. `sweep`: of this one view, where `seen.xy` is
+    what its rows saw.
     """
     R0, C0 = R_cam_enu, centre_enu_m
     R, C = start or (R0, C0)
@@ -58,24 +65,25 @@ def resect(
     prior = 1.0 / np.append(prior_sigma, [rate_sigma] * 3)[:n] ** 2
     stiff, step = np.diag(prior), np.zeros(9)
     for _ in range(steps):
-        A, _, r, _, _ = _whitened(points_enu_m, xy, weight, R, C, scale, sweep, rate_off)
+        A, _, r, _, _ = _whitened(seen, R, C, scale, sweep, rate_off)
         off = np.concatenate([log_so3(R @ R0.T), C - C0, rate_off])[:n]
         step[:n] = -solve_small(A @ A.T + stiff, A @ r + prior * off)
         R, C, rate_off = exp_so3(step[:3]) @ R, C + step[3:6], rate_off + step[6:]
         if np.all(np.abs(step) < _SETTLED):
             break
-    A, B, _, sigmas, ahead = _whitened(points_enu_m, xy, weight, R, C, scale, sweep, rate_off)
+    A, B, _, sigmas, ahead = _whitened(seen, R, C, scale, sweep, rate_off)
     by_point = np.einsum("vip,cip->pvc", A.reshape(n, 2, -1), B)
     return Resection(R, C, A @ A.T + stiff, by_point, sigmas, ahead & (sigmas < 2.0 * scale), rate_off)
 
 
 def _whitened(
-    points: Array, xy: Array, weight: Array, R: Array, C: Array, scale: float, sweep: Sweep | None, rate_off: Array
+    seen: Sighted, R: Array, C: Array, scale: float, sweep: Sweep | None, rate_off: Array
 ) -> tuple[Array, Array, Array, Array, Mask]:
     """Rows by the view (6, 2N), by the point (3, 2, N), residual (2N,), sigmas (N,), and which lie ahead (N,).
 
     By the view (9, 2N) where its angular rate is to be found too.
     """
+    points, xy, weight = seen
     residual, predicted, depth = reprojection(R[None], C[None], points, xy.T[None])
     by_rate = np.zeros((0, 2, len(points)))
     if sweep is not None:

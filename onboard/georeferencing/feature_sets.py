@@ -19,7 +19,7 @@ from contract.kriging import stretch
 from contract.rotations import skew
 from onboard.estimation.ground_roughness import plane_and_roughness
 from onboard.estimation.keyframe import Observation
-from onboard.estimation.resection import Resection, resect
+from onboard.estimation.resection import Resection, Sighted, resect
 from onboard.estimation.rolling_shutter import Moving, Sweep
 from onboard.estimation.sensor_factors import travelled_sigma_m
 from onboard.estimation.sliding_window import Window
@@ -190,8 +190,8 @@ def _resected_view(
         rate, velocity = m.rate_cam_rad_s[None], m.velocity_enu_m_s[None]
         sweep = Sweep(solved.readout_s, share, rate, velocity, m.sigma_rate_rad_s, abs(solved.readout_s))
     begin = None if start is None else (start.R_cam_enu, start.centre_enu_m)
-    xy = seen.raw_xy[known]
-    pose: Resection = resect(points, xy, weight, guess.R_cam_enu, guess.centre_enu_m, sigma, start=begin, sweep=sweep)
+    sighted = Sighted(points, seen.raw_xy[known], weight)
+    pose: Resection = resect(sighted, guess.R_cam_enu, guess.centre_enu_m, sigma, start=begin, sweep=sweep)
     if np.count_nonzero(pose.inliers) < max(MIN_FEATURES, 0.5 * len(points)):
         return None
     covariance = np.linalg.inv(pose.information)

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from contract.rotations import R_ENU_NED, exp_so3, log_so3, matrix_from_euler, mount_rotation
-from onboard.estimation.resection import resect
+from onboard.estimation.resection import Sighted, resect
 
 Array = NDArray[np.float64]
 
@@ -32,7 +32,7 @@ def error(R: Array, centre: Array, R_true: Array, centre_true: Array) -> Array:
 def test_the_pose_is_found_from_five_degrees_and_ten_metres_off() -> None:
     points, xy, R, C = view(np.random.default_rng(0))
     start = exp_so3(np.radians([5.0, -4.0, 3.0])) @ R
-    out = resect(points, xy, np.full(40, 1.0 / SIGMA), start, C + [6.0, -5.0, 6.0], 100.0 * WIDE, steps=30)
+    out = resect(Sighted(points, xy, np.full(40, 1.0 / SIGMA)), start, C + [6.0, -5.0, 6.0], 100.0 * WIDE, steps=30)
     assert np.abs(error(out.R_cam_enu, out.centre_enu_m, R, C)[:3]).max() < 1e-5
     assert np.abs(out.centre_enu_m - C).max() < 5e-3
     assert out.inliers.all()
@@ -48,7 +48,12 @@ def test_the_information_is_that_of_the_errors() -> None:
         off = prior * rng.standard_normal(6)
         noisy = xy + SIGMA * rng.standard_normal(xy.shape)
         out = resect(
-            points, noisy, np.full(40, 1.0 / SIGMA), exp_so3(off[:3]) @ R, C + off[3:], prior, scale=1e3, steps=20
+            Sighted(points, noisy, np.full(40, 1.0 / SIGMA)),
+            exp_so3(off[:3]) @ R,
+            C + off[3:],
+            prior,
+            scale=1e3,
+            steps=20,
         )
         e = error(out.R_cam_enu, out.centre_enu_m, R, C)
         values.append(e @ out.information @ e / 6)
@@ -59,11 +64,11 @@ def test_the_information_is_the_dense_one_and_points_pull_as_they_say() -> None:
     """d pose = -information^-1 by_point d point: moving a point moves the pose by what (7.2) says."""
     points, xy, R, C = view(np.random.default_rng(1))
     weight = np.full(40, 1.0 / SIGMA)
-    base = resect(points, xy, weight, R, C, WIDE, scale=1e6, steps=30)
+    base = resect(Sighted(points, xy, weight), R, C, WIDE, scale=1e6, steps=30)
     move = np.array([0.02, -0.01, 0.015])
     shifted = points.copy()
     shifted[7] += move
-    out = resect(shifted, xy, weight, R, C, WIDE, scale=1e6, steps=30)
+    out = resect(Sighted(shifted, xy, weight), R, C, WIDE, scale=1e6, steps=30)
     moved = error(out.R_cam_enu, out.centre_enu_m, base.R_cam_enu, base.centre_enu_m)
     expected = -np.linalg.solve(base.information, base.by_point[7] @ move)
     assert moved == pytest.approx(expected, rel=0.02, abs=0.01 * np.abs(expected).max())
@@ -72,7 +77,7 @@ def test_the_information_is_the_dense_one_and_points_pull_as_they_say() -> None:
 
 def test_without_points_the_prior_stays() -> None:
     points, xy, R, C = view(np.random.default_rng(2))
-    out = resect(points[:0], xy[:0], np.zeros(0), R, C, WIDE)
+    out = resect(Sighted(points[:0], xy[:0], np.zeros(0)), R, C, WIDE)
     assert out.R_cam_enu == pytest.approx(R)
     assert out.information == pytest.approx(np.diag(1.0 / WIDE**2))
 
@@ -84,7 +89,7 @@ def test_a_quarter_of_wrong_points_is_told_apart() -> None:
     noisy = xy + SIGMA * rng.standard_normal(xy.shape)
     noisy[wrong] += rng.choice([-1.0, 1.0], (20, 2)) * rng.uniform(15.0, 60.0, (20, 2)) / 900.0
     start = exp_so3(np.radians([1.0, -1.0, 1.0])) @ R
-    out = resect(points, noisy, np.full(80, 1.0 / SIGMA), start, C + [2.0, -2.0, 1.0], WIDE, steps=30)
+    out = resect(Sighted(points, noisy, np.full(80, 1.0 / SIGMA)), start, C + [2.0, -2.0, 1.0], WIDE, steps=30)
     assert not out.inliers[wrong].any()
     assert out.inliers[~wrong].mean() > 0.95
     sigma = np.sqrt(np.diag(np.linalg.inv(out.information)))
@@ -94,6 +99,6 @@ def test_a_quarter_of_wrong_points_is_told_apart() -> None:
 def test_points_behind_the_view_are_no_inliers() -> None:
     points, xy, R, C = view(np.random.default_rng(4))
     points[:5] = 2.0 * C - points[:5]
-    out = resect(points, xy, np.full(40, 1.0 / SIGMA), R, C, WIDE)
+    out = resect(Sighted(points, xy, np.full(40, 1.0 / SIGMA)), R, C, WIDE)
     assert not out.inliers[:5].any()
     assert out.inliers[5:].all()

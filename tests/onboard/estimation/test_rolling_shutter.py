@@ -17,7 +17,7 @@ from onboard.estimation.camera_states import READOUT, as_numbers, from_numbers
 from onboard.estimation.factors import RATES
 from onboard.estimation.keyframe import observation, seen_with
 from onboard.estimation.platform_states import STATES
-from onboard.estimation.resection import resect
+from onboard.estimation.resection import Sighted, resect
 from onboard.estimation.rolling_shutter import Moving, Sweep, rates_between
 from onboard.pipeline.estimates import as_rows, estimates_of, unconfirmed_of
 from tests.onboard.scenes import Drawn, bundle_problem, first_guess
@@ -75,7 +75,9 @@ def test_a_picture_between_keyframes_finds_its_pose_through_its_rows() -> None:
     loose, weight = np.array([1.0] * 3 + [100.0] * 3), np.full(np.count_nonzero(seen), 900.0 / 0.3)
     missed = []
     for rows in (own, None):
-        found = resect(s.points_enu_m[seen], xy[k, seen], weight, s.R_cam_enu[k], s.centres_enu_m[k], loose, sweep=rows)
+        found = resect(
+            Sighted(s.points_enu_m[seen], xy[k, seen], weight), s.R_cam_enu[k], s.centres_enu_m[k], loose, sweep=rows
+        )
         missed.append(float(np.linalg.norm(found.centre_enu_m - s.centres_enu_m[k])))
     assert missed[0] < 0.03
     assert missed[1] > 0.5, "this motion would not matter"
@@ -111,7 +113,7 @@ def test_a_picture_between_keyframes_finds_its_own_rate_too() -> None:
     points, missed = s.points_enu_m[seen], []
     for sigma_rad_s in (0.3, 0.0):
         own = Sweep(READOUT_S, share, np.zeros((1, 3)), velocity, sigma_rad_s, READOUT_S)
-        found = resect(points, xy[k, seen], weight, s.R_cam_enu[k], s.centres_enu_m[k], loose, sweep=own)
+        found = resect(Sighted(points, xy[k, seen], weight), s.R_cam_enu[k], s.centres_enu_m[k], loose, sweep=own)
         missed.append(float(np.linalg.norm(found.centre_enu_m - s.centres_enu_m[k])))
         assert len(found.information) == (9 if sigma_rad_s else 6)
         if sigma_rad_s:
