@@ -11,7 +11,7 @@ Public:
 - `moved_optics`: `MOVED`
 - `platform_states`: `QUANTITIES`, `present`, `BORESIGHT`, `OFFSET`, `DELAY`, the sources' names
 - `reobservation`: `RelativeVariance`
-- `resection`: `Resection`, `resect`
+- `resection`: `Resection`, `Sighted`, `resect`
 - `rolling_shutter`: `Moving`, `Sweep`, `rates_between`
 - `sensor_factors`: `travelled_sigma_m`
 - `sensor_groups`: `Failing`, `FORGOTTEN`
