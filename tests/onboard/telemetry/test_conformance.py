@@ -19,7 +19,7 @@ from onboard.events.types import Attitude, FilterStatus, GpsQuality, NavEvent, P
 from onboard.telemetry.tlog_reader import read_tlog
 from simulation.autopilot.fake import FakeAutopilot
 from tests.onboard.link.ports import free_udp_port
-from tests.onboard.telemetry.listening import FLIGHT, Listening, config_for, content, errors_ms, expected, listening
+from tests.onboard.telemetry.listening import FLIGHT, config_for, content, errors_ms, expected, listening
 from tests.waiting import eventually
 
 pytestmark = pytest.mark.wall_clock(waits=True)
@@ -43,15 +43,11 @@ class Simulated:
     """What was sent and what came of it."""
 
     autopilot: FakeAutopilot
-    received: Listening
+    events: list[NavEvent]
     true: list[NavEvent]
     state: State
     figures: dict[str, float]
     took_s: float  # at most, that it was listened to
-
-    @property
-    def events(self) -> list[NavEvent]:
-        return [event for _, event in self.received.got]  # type: ignore[misc]
 
 
 @pytest.fixture(scope="module")
@@ -86,8 +82,9 @@ def simulated(folder: Path) -> Iterator[dict[str, Simulated]]:
         assert eventually(lambda: all(len(beats_of(autopilot)) >= 4 for autopilot, _ in running.values()))
         for name, (autopilot, received) in running.items():
             health = received.source.health()
-            true = expected(autopilot, received.clock)
-            out[name] = Simulated(autopilot, received, true, health.state, health.figures, 0.0)
+            events: list[Any] = [event for _, event in list(received.got)]
+            true = expected(autopilot, received.clock)  # read last, so that it holds whatever came before
+            out[name] = Simulated(autopilot, events, true, health.state, health.figures, 0.0)
     for flight in out.values():
         flight.took_s = time.monotonic() - began_s
     yield out
@@ -101,8 +98,7 @@ def beats_of(autopilot: FakeAutopilot) -> list[Any]:
 @ALL
 def test_the_events_are_what_was_sent_at_the_true_moments(simulated: dict[str, Simulated], name: str) -> None:
     flight = simulated[name]
-    cut = len(flight.events) - 20  # the newest may have been sent after `true` was read
-    errors = errors_ms(flight.events[:cut], flight.true)
+    errors = errors_ms(flight.events, flight.true)
     assert len(errors) > 40
     assert {type(event) for event in flight.events} >= {PositionFix, Attitude, GpsQuality, FilterStatus}
     assert 0.0 < np.median(np.abs(errors)) < 3.0
