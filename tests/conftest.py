@@ -20,6 +20,7 @@ from tests import postgres
 from tests.costly_first import COSTLY_FIRST
 from tests.flights_folder import FLIGHTS_VARIABLE
 from tests.left_out import LEFT_OUT, NO_PROGRAM
+from tests.limits import limit
 
 # Before anything imports NumPy or OpenCV: several tests run side by side, and one thread each gives the same bytes
 # everywhere.
@@ -106,6 +107,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     file and take minutes each. (pytest-xdist keeps this order with --no-loadscope-reorder only.) Of those that measure
     real time, the ones that mostly wait are one worker's by folder, next to another's that do not.
     """
+    limit(items)
     items.sort(key=lambda item: item.path.parent != Path(__file__).parent)
     for item in items:
         if (group := real_time_group(item)) is not None:

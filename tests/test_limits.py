@@ -1,0 +1,65 @@
+"""A test that hangs ends with its name and its stacks, and those after it run."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.limits import GUEST_S, LONG_S, ORDINARY_S, TESTS, limit_s
+
+HANGS = """
+import threading
+import pytest
+
+@pytest.fixture
+def never():
+    threading.Event().wait()
+
+@pytest.mark.timeout(1)
+def test_that_waits_for_ever():
+    threading.Event().wait()
+
+@pytest.mark.timeout(1)
+def test_whose_fixture_waits_for_ever(never):
+    pass
+
+def test_after_it():
+    pass
+"""
+
+
+def test_this_test_has_the_limit_of_ordinary_ones(request: pytest.FixtureRequest) -> None:
+    marker = request.node.get_closest_marker("timeout")
+    assert marker is not None and marker.args == (ORDINARY_S,)
+    assert request.config.pluginmanager.has_plugin("timeout")
+
+
+@pytest.mark.timeout(77)
+def test_a_limit_of_its_own_is_kept(request: pytest.FixtureRequest) -> None:
+    assert request.node.get_closest_marker("timeout").args == (77,)
+
+
+@pytest.mark.parametrize(("folder", "is_long", "expected_s"), [
+    ("contract", False, ORDINARY_S), ("scenarios", True, LONG_S), ("bench", False, GUEST_S), ("arm64", True, GUEST_S),
+])  # fmt: skip
+def test_the_limit_is_by_marker_and_folder(
+    request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch, folder: str, is_long: bool, expected_s: float
+) -> None:
+    monkeypatch.setattr(request.node, "path", TESTS / folder / "test_it.py")
+    if is_long:
+        request.node.add_marker("long")
+    assert limit_s(request.node) == expected_s
+
+
+def test_one_that_hangs_is_named_by_its_worker_and_the_others_run(tmp_path: Path) -> None:
+    (tmp_path / "test_hanging.py").write_text(HANGS)
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-n", "1", "-p", "no:cacheprovider"],
+        cwd=tmp_path, capture_output=True, text=True, check=False, timeout=120,
+    )  # fmt: skip
+    assert "1 passed, 1 failed, 1 error" in done.stdout.replace("1 failed, 1 passed", "1 passed, 1 failed")
+    assert "FAILED test_hanging.py::test_that_waits_for_ever - Failed: Timeout" in done.stdout
+    assert "ERROR test_hanging.py::test_whose_fixture_waits_for_ever - Failed: Timeout" in done.stdout
