@@ -120,7 +120,7 @@ test: lint
 # Kernel and images are built once and kept in $POINTCLICK_BENCH_CACHE (~/.cache/pointclick-bench).
 test-bench: $(INSTALLED)
 	@$(BIN)/python -m tests.bench build
-	@POINTCLICK_BENCH=1 $(BIN)/python -m pytest tests/bench --reruns 1 -rR --durations=0 --durations-min=1 $(BENCH_ARGS)
+	@POINTCLICK_BENCH=1 $(BIN)/python -m pytest tests/bench -rR --durations=0 --durations-min=1 $(BENCH_ARGS)
 
 # Packages of both architectures, built and run; arm64 by qemu's user-mode emulation, without root or binfmt.
 test-arm64: $(INSTALLED)
@@ -164,16 +164,16 @@ gstreamer:
 	$(call from_debian,$(BIN)/python -m tests.rtsp,$(GSTREAMER),the tests of RTSP and GStreamer)
 
 # Tests of the marker expression $(1), three at a time for two cores: many wait most of their time, and with four of
-# them what is drawn in real time fell behind; what fails among the others, and not a second time, was a matter of
-# processes on a busy machine, and the summary lists it. Those that measure real time run after the others, by three
-# workers of whom one has all those that do not mostly wait (tests/conftest.py); a bound that the host broke by standing
-# still is tried twice more, and the summary lists it. The flights that one of the two has drawn are the other's too.
+# them what is drawn in real time fell behind. None of them is tried a second time. Those that measure real time run
+# after the others, by three workers of whom one has all those that do not mostly wait (tests/conftest.py); a bound that
+# the host broke by standing still is tried twice more, and the summary lists it. The flights that one of the two has
+# drawn are the other's too.
 # The order is ours (tests/costly_first.py), and not that of the most tests first. $(2) is what the exit codes of the
 # two may be; 5 is a run without any test.
 define run_tests
 	@POINTCLICK_TEST_FLIGHTS=$$(mktemp -d) || exit 1; export POINTCLICK_TEST_FLIGHTS; \
 	trap 'rm -rf "$$POINTCLICK_TEST_FLIGHTS"' EXIT; trap 'exit 130' INT TERM; \
-	$(BIN)/python -m pytest -m "$(1) and not wall_clock" -n 3 --dist loadgroup --no-loadscope-reorder --reruns 1 -rR --durations=30 $(PYTEST_ARGS); parallel=$$?; \
+	$(BIN)/python -m pytest -m "$(1) and not wall_clock" -n 3 --dist loadgroup --no-loadscope-reorder --durations=30 $(PYTEST_ARGS); parallel=$$?; \
 	$(BIN)/python -m pytest -m "$(1) and wall_clock" -n 3 --dist loadgroup --reruns 2 -rR --durations=30 $(PYTEST_ARGS); serial=$$?; \
 	case "$$parallel $$serial" in \
 		$(2)) ;; \

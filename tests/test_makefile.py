@@ -17,7 +17,7 @@ from tests.costly_first import COSTLY_FIRST
 from tests.rest_long import rest_long
 
 ROOT = Path(__file__).resolve().parents[1]
-PARALLEL = "-n 3 --dist loadgroup --no-loadscope-reorder --reruns 1 -rR --durations=30"
+PARALLEL = "-n 3 --dist loadgroup --no-loadscope-reorder --durations=30"
 REAL_TIME = "-n 3 --dist loadgroup --reruns 2 -rR --durations=30"
 
 
@@ -58,6 +58,13 @@ def test_real_time_is_measured_after_the_others(tmp_path: Path) -> None:
         f"-m pytest -m not long and not wall_clock {PARALLEL}",
         f"-m pytest -m not long and wall_clock {REAL_TIME}",
     ]
+
+
+def test_only_what_measures_real_time_is_tried_again_and_each_use_is_listed() -> None:
+    runs = [line for line in (ROOT / "Makefile").read_text().splitlines() if "-m pytest" in line]
+    tried_again = [line for line in runs if "--reruns" in line]
+    assert len(runs) >= 3 and len(tried_again) == 1
+    assert "and wall_clock" in tried_again[0] and "-rR" in tried_again[0]
 
 
 def test_the_long_tests_have_a_run_of_their_own_that_needs_none_of_real_time(tmp_path: Path) -> None:

@@ -39,6 +39,7 @@ def helper_of(flying: Sortie) -> tuple[str, list[str]]:
     return flying.machine.shell(f"stat -c %U /proc/{pid}").strip(), [path for path in held if path.startswith("/dev/")]
 
 
+@cameras.tried_again
 def test_the_service_waits_for_libcameras_camera_reads_it_and_takes_it_up_again(tmp_path: Path) -> None:
     camera_file = tmp_path / "camera.json"
     camera_file.write_text(Camera.from_field_of_view(*SIZE_PX, 40.0).to_json())
