@@ -5,7 +5,7 @@ import { byId, make, setText } from "./dom.js";
 import { within } from "./format.js";
 import { toPane, type View } from "./mapping.js";
 import { shortHeat } from "./map-tracks.js";
-import { pixelOf } from "./projection.js";
+import { placeIn } from "./projection.js";
 import type { State } from "./state.js";
 import type { FoundSpot, FrameView } from "./types.js";
 
@@ -23,8 +23,7 @@ export class SpotMarks {
   draw(frame: FrameView | null, view: View): void {
     const seen = new Set<number>();
     for (const spot of frame === null || frame.camera === null ? [] : this.state.openSpots()) {
-      const height = spot.height_ellipsoid_m ?? spot.height_amsl_m;
-      const at = height === null ? null : pixelOf(frame!.camera!, { width: frame!.width_px, height: frame!.height_px }, spot.lat_deg, spot.lon_deg, height);
+      const at = placeIn(frame!, spot);
       if (at === null) continue;
       seen.add(spot.spot);
       let element = this.elements.get(spot.spot);

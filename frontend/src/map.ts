@@ -6,6 +6,7 @@ import { Protocol } from "pmtiles";
 import type { BaseMap } from "./base-map.js";
 import { byId, setText } from "./dom.js";
 import { gridLines } from "./grid.js";
+import { onGround } from "./ground-picture.js";
 import { degrees, stepText } from "./format.js";
 import { ABOVE_PICTURES, addLayers, collection, emptyStyle, paintTheme, PIN_LAYERS, type SourceName } from "./map-layers.js";
 import { spotFeatures, trackFeatures } from "./map-tracks.js";
@@ -36,7 +37,7 @@ const LATER_MS = 120, LATEST_MS: Record<What, number> = { shown: 500, pins: 10_0
 
 export class MapPane {
   private readonly map: MapLibreMap;
-  private readonly laid = new Map<string, { source: string; layer: string }>();
+  private readonly laid = new Map<string, { source: string; layer: string; view: FrameView }>();
   private isReady = false;
   private isFollowing = true;
   private hasView = false;
@@ -255,23 +256,24 @@ export class MapPane {
         this.map.removeLayer(held.layer);
         this.map.removeSource(held.source);
         this.laid.delete(key);
+        byId("map").dataset["laid"] = [...this.laid.keys()].join(" ");
       }
     }
-    if (!isOn || loaded === null || loaded.image === null || loaded.view.corners === null) return;
+    if (!isOn || loaded === null || loaded.image === null) return;
     const { view } = loaded;
     const key = `${view.vehicle}/${view.session}/${view.frame}`;
-    const corners = view.corners as [[number, number], [number, number], [number, number], [number, number]];
     const held = this.laid.get(key);
-    if (held !== undefined) {
-      (this.map.getSource(held.source) as ImageSource).setCoordinates(corners);
-      this.map.moveLayer(held.layer, ABOVE_PICTURES);
-    } else {
-      const name = `picture ${key}`;
-      this.map.addSource(name, { type: "image", coordinates: corners });
-      (this.map.getSource(name) as ImageSource).updateImage({ image: copied(loaded.image), coordinates: corners });
+    if (held !== undefined && held.view === view) { this.map.moveLayer(held.layer, ABOVE_PICTURES); return; }
+    const made = onGround(loaded.image, view.mesh);
+    if (made === null) return;
+    const name = `picture ${key}`;
+    if (held === undefined) {
+      this.map.addSource(name, { type: "image", coordinates: made.corners });
       this.map.addLayer({ id: name, type: "raster", source: name, paint: { "raster-fade-duration": 0, "raster-opacity": 0.95 } }, ABOVE_PICTURES);
-      this.laid.set(key, { source: name, layer: name });
-    }
+    } else this.map.moveLayer(held.layer, ABOVE_PICTURES);
+    (this.map.getSource(name) as ImageSource).updateImage({ image: made.canvas, coordinates: made.corners });
+    this.laid.set(key, { source: name, layer: name, view });
+    byId("map").dataset["laid"] = [...this.laid.keys()].join(" "); // what a test may look at
   }
 
   /** All aircraft; the chosen one where the picture that is shown was taken, and strong. */
@@ -384,14 +386,4 @@ export class MapPane {
     const at = this.state.vehicles.findIndex((vehicle) => vehicle.id === this.state.vehicle);
     return AIRCRAFT[Math.max(at, 0) % AIRCRAFT.length]!;
   }
-}
-
-/** The map keeps a copy: the viewer closes its pictures when it drops them. */
-function copied(image: ImageBitmap): HTMLCanvasElement {
-  const canvas = document.createElement("canvas");
-  const scale = Math.min(1, 640 / image.width);
-  canvas.width = Math.max(Math.round(image.width * scale), 1);
-  canvas.height = Math.max(Math.round(image.height * scale), 1);
-  canvas.getContext("2d")?.drawImage(image, 0, 0, canvas.width, canvas.height);
-  return canvas;
 }

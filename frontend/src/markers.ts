@@ -2,7 +2,7 @@
 
 import { make } from "./dom.js";
 import { contains, toPane, type Pixel, type Point, type Size, type View } from "./mapping.js";
-import { pixelOf } from "./projection.js";
+import { placeIn } from "./projection.js";
 import { kindOf, shapeSvg } from "./shapes.js";
 import type { State } from "./state.js";
 import type { Category, FrameView, Pin } from "./types.js";
@@ -79,9 +79,8 @@ export class Markers {
     const seen = new Set<string>();
     this.hideBubble();
     if (frame !== null) {
-      const size = { width: frame.width_px, height: frame.height_px };
       for (const pin of this.state.newestFirst().slice(0, MOST)) {
-        const at = pixelIn(pin, frame, size);
+        const at = pixelIn(pin, frame);
         if (at === null) continue;
         const isMarked = pin.id === this.state.hovered || pin.id === this.state.selected;
         const look = `${pin.category} ${pin.number} ${isMarked} ${pin.place.status}`;
@@ -148,16 +147,13 @@ export class Markers {
 }
 
 /** Where a pin is in a picture: at its click, if it was clicked there; else where its place is seen. */
-export function pixelIn(pin: Pin, frame: FrameView, size: Size): Pixel | null {
+export function pixelIn(pin: Pin, frame: FrameView): Pixel | null {
   for (const click of pin.clicks) {
     if (click.vehicle === frame.vehicle && click.session === frame.session && click.frame === frame.frame && click.u_px !== null && click.v_px !== null) {
       return { u: click.u_px, v: click.v_px };
     }
   }
-  const place = pin.place;
-  if (frame.camera === null || place.status !== "ok") return null;
-  const height = place.height_ellipsoid_m ?? place.height_amsl_m;
-  return height === null ? null : pixelOf(frame.camera, size, place.lat_deg, place.lon_deg, height);
+  return pin.place.status === "ok" ? placeIn(frame, pin.place) : null;
 }
 
 function marker(category: Category, number: string, isMarked: boolean, flag: string): HTMLElement {

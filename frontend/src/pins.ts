@@ -204,7 +204,8 @@ export class PinList {
     into.textContent = "looking through the pictures ...";
     into.scrollIntoView({ block: "nearest" });
     const seen = await api.seen(pin.id);
-    into.replaceChildren(seen.length === 0 ? "no picture shows it" : `${seen.length} pictures show it:`);
+    const none = pin.place.status === "ok" ? "no picture shows it" : "where it is is not known: nothing to look for";
+    into.replaceChildren(seen.length === 0 ? none : `${seen.length === 1 ? "1 picture shows" : `${seen.length} pictures show`} it:`);
     const step = Math.max(1, Math.ceil(seen.length / 40));
     for (let k = 0; k < seen.length; k += step) {
       const { vehicle, frame, u_px, v_px } = seen[k]!;

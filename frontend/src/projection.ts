@@ -2,12 +2,15 @@
 // contract/rolling_shutter.py.
 
 import type { Pixel, Size } from "./mapping.js";
+import type { FrameView } from "./types.js";
 
 export interface Camera {
   fx: number; fy: number; cx: number; cy: number;
   distortion: [number, number, number, number, number];
   max_radius: number;
-  lat_deg: number; lon_deg: number; height_m: number;
+  lat_deg: number; lon_deg: number;
+  height_m: number; is_ellipsoidal: boolean; undulation_m: number | null; // which height that is; ellipsoidal minus above sea level
+  ground_per_m: Vector | null; // the ground plane's places X, m from the camera, have ground_per_m . X = 1; null: it stands upright
   R_enu_cam: number[]; // row by row
   shutter: Shutter | null;
 }
@@ -63,6 +66,35 @@ export function pixelOf(camera: Camera, size: Size, lat: number, lon: number, he
   }
   const isSeen = at !== null && at.u >= -0.5 && at.v >= -0.5 && at.u <= size.width - 0.5 && at.v <= size.height - 0.5;
   return isSeen ? at : null;
+}
+
+/** The pixel of a place in a picture; null where the picture does not show it. One without a height lies on the ground. */
+export function placeIn(frame: FrameView, place: { lat_deg: number; lon_deg: number; height_ellipsoid_m: number | null; height_amsl_m: number | null }): Pixel | null {
+  if (frame.camera === null) return null;
+  const height = heightIn(frame.camera, place) ?? groundHeight(frame, frame.camera, place.lat_deg, place.lon_deg);
+  return height === null ? null : pixelOf(frame.camera, { width: frame.width_px, height: frame.height_px }, place.lat_deg, place.lon_deg, height);
+}
+
+/** A place's height as the camera's is given; null where that one is not known. As `placed_in` of ground/web/view.py. */
+function heightIn(camera: Camera, place: { height_ellipsoid_m: number | null; height_amsl_m: number | null }): number | null {
+  const { height_ellipsoid_m: ellipsoid, height_amsl_m: amsl } = place;
+  if (!camera.is_ellipsoidal) return amsl;
+  return ellipsoid ?? (amsl === null || camera.undulation_m === null ? null : amsl + camera.undulation_m);
+}
+
+/** The ground's height at a place: the plane's, and how high the features about the place are above it, the nearest most. */
+export function groundHeight({ features }: Pick<FrameView, "features">, camera: Camera, lat: number, lon: number): number | null {
+  const normal = camera.ground_per_m;
+  if (normal === null) return null;
+  let weights = 0, rise = 0;
+  features.rise_m.forEach((above, k) => {
+    const [e, n] = enu({ lat_deg: lat, lon_deg: lon, height_m: camera.height_m }, features.lonlat[k]![1], features.lonlat[k]![0], camera.height_m);
+    const weight = 1 / (e * e + n * n + 1e-6);
+    weights += weight;
+    rise += weight * above;
+  });
+  const [e, n] = enu(camera, lat, lon, camera.height_m - 1 / Math.abs(normal[2]));
+  return camera.height_m + (1 - e * normal[0] - n * normal[1]) / normal[2] + (weights > 0 ? rise / weights : 0);
 }
 
 /** Normalised image coordinates -> pixel; null beyond what the distortion describes. */

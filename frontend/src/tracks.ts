@@ -1,7 +1,7 @@
 // Things that are followed: what is known of each at a moment, and where it is in a picture. Pure: no DOM.
 
-import { contains, type Pixel, type Size } from "./mapping.js";
-import { offset, pixelOf } from "./projection.js";
+import { contains, type Pixel } from "./mapping.js";
+import { offset, placeIn } from "./projection.js";
 import type { FrameView, TrackPlace, TrackReport } from "./types.js";
 
 const SILENT_MS = 5000; // without a report: it was ended, for a track is reported twice a second
@@ -60,14 +60,9 @@ export function seenIn(track: TrackNow, frame: FrameView): { at: Pixel; size: nu
   const same = own ? track.path.findLast((report) => report.frame === frame.frame) : undefined;
   if (same !== undefined) return contains(size, { u: same.u, v: same.v }) ? { at: { u: same.u, v: same.v }, size: same.size_px } : null;
   const at = placeAt(track.path, captureMs(frame.capture_unix_ns));
-  if (at === null || frame.camera === null) return null;
-  const pixel = inPicture(frame, size, at);
+  if (at === null) return null;
+  const pixel = placeIn(frame, at);
   return pixel === null ? null : { at: pixel, size: own ? track.last.size_px : NO_SIZE_PX };
-}
-
-function inPicture(frame: FrameView, size: Size, at: TrackPlace): Pixel | null {
-  const height = at.height_ellipsoid_m ?? at.height_amsl_m;
-  return height === null || frame.camera === null ? null : pixelOf(frame.camera, size, at.lat_deg, at.lon_deg, height);
 }
 
 /** Between the two reports about a moment; at most a second from the nearest, as its speed takes it. */

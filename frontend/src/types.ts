@@ -8,14 +8,17 @@ export interface FrameRow {
   session: number; frame: number; revision: number; status: string; capture_unix_ns: string; has_picture: boolean;
 }
 
+/** The ground's longitude and latitude under a lattice of pixels from edge to edge, row by row; null where there is none. */
+export interface GroundMesh { columns: number; lonlat: ([number, number] | null)[] }
+
 export interface FrameView {
   vehicle: string; session: number; frame: number; revision: number;
   status: string; reason: string; advice: string; time_utc: string; capture_unix_ns: string; age_s: number | null;
   width_px: number; height_px: number;
   camera: Camera | null;
-  features: { uv: [number, number][]; lonlat: [number, number][]; paths: [number, number][][] };
+  features: { uv: [number, number][]; lonlat: [number, number][]; rise_m: number[]; paths: [number, number][][] };
   footprint: [number, number][];
-  corners: [number, number][] | null;
+  mesh: GroundMesh | null;
   ce90_centre_m: number | null;
 }
 

@@ -4,14 +4,15 @@ import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { test } from "node:test";
 import { contains, fitted, panned, resized, toPane, toPixel, wholeView, zoomed, MAX_ZOOM, type View } from "../src/mapping.js";
-import { ellipseRing, enu, offset, pixelOf, type Camera } from "../src/projection.js";
+import { ellipseRing, enu, offset, pixelOf, placeIn, type Camera } from "../src/projection.js";
+import { affine, layout } from "../src/ground-picture.js";
 import { groupTitle, isWanted } from "../src/fleet.js";
 import { gridLines, gridStep } from "../src/grid.js";
 import { age, decimals, degrees, methodWords, radius, stepText, within } from "../src/format.js";
 import { State } from "../src/state.js";
 import { bandOf, trackFeatures } from "../src/map-tracks.js";
 import { mergeReports, tracksAt, trackWords } from "../src/tracks.js";
-import type { Pin, TrackReport, VehicleState } from "../src/types.js";
+import type { FrameView, GroundMesh, Pin, PlaceAnswer, TrackReport, VehicleState } from "../src/types.js";
 
 const PICTURE = { width: 640, height: 480 };
 
@@ -110,6 +111,37 @@ test("places are seen where Python sees them", () => {
     if (uv !== null && c.uv !== null) { near(uv.u, c.uv[0], 1e-6); near(uv.v, c.uv[1], 1e-6); seen += 1; }
   }
   assert.ok(seen > cases.length / 4 && seen < cases.length);
+});
+
+test("a place of unknown height is where Python has the ground", () => {
+  const cases = JSON.parse(readFileSync(process.env["GROUND_CASES"]!, "utf8")) as { frame: FrameView; place: PlaceAnswer; uv: [number, number] }[];
+  assert.ok(cases.length >= 50);
+  for (const { frame, place, uv } of cases) {
+    const at = placeIn(frame, place);
+    assert.ok(at !== null);
+    near(Math.hypot(at.u - uv[0], at.v - uv[1]), 0, 8); // the page averages features where Python interpolates by kriging
+  }
+  const far = placeIn(cases[0]!.frame, { ...cases[0]!.place, lat_deg: cases[0]!.place.lat_deg + 0.01 });
+  assert.equal(far, null);
+});
+
+test("a picture is laid on the ground without the corner that shows none", () => {
+  const lonlat: ([number, number] | null)[] = [0, 1, 2].flatMap((row) => [0, 1, 2, 3].map((column): [number, number] => [8 + column * 1e-4, 47 - row * 1e-4]));
+  const whole: GroundMesh = { columns: 4, lonlat }, cut: GroundMesh = { columns: 4, lonlat: lonlat.with(0, null) };
+  assert.equal(layout(whole, 640, 480)!.triangles.length, 12);
+  assert.equal(layout(cut, 640, 480)!.triangles.length, 11);
+  assert.equal(layout({ columns: 4, lonlat: lonlat.map(() => null) }, 640, 480), null);
+  const made = layout(cut, 640, 480)!;
+  assert.deepEqual(made.corners, [[8, 47], [8 + 3e-4, 47], [8 + 3e-4, 47 - 2e-4], [8, 47 - 2e-4]]);
+  for (const triangle of made.triangles) {
+    const [a, b, c, d, e, f] = affine(triangle);
+    for (const { from: [x, y], to: [u, v] } of triangle) {
+      near(a * x + c * y + e, u, 1e-6);
+      near(b * x + d * y + f, v, 1e-6);
+      near(u / made.width, x / 640, 1e-6);
+      near(v / made.height, y / 480, 1e-6);
+    }
+  }
 });
 
 test("an ellipse has its axes where they are stated to be", () => {

@@ -53,7 +53,7 @@ def picture_cells(s: FeatureSet, cells: Cells) -> PictureCells:
         return NO_CELLS
     locator = Locator(s)
     answers = locator.answers(_lattice(s))
-    plane = _Plane.of(s)
+    plane = GroundPlane.of(s)
     if plane is None or not np.any(answers.is_answered):
         return NO_CELLS
     rows, columns = _box(locator, answers, cells)
@@ -73,7 +73,7 @@ def pixel_of(s: FeatureSet, lat_deg: float, lon_deg: float) -> tuple[float, floa
 
     None where it is not in the picture.
     """
-    plane = _Plane.of(s) if s.is_ok else None
+    plane = GroundPlane.of(s) if s.is_ok else None
     if plane is None:
         return None
     locator = Locator(s)
@@ -89,13 +89,13 @@ def pixel_of(s: FeatureSet, lat_deg: float, lon_deg: float) -> tuple[float, floa
 
 
 @dataclass(frozen=True, eq=False)
-class _Plane:
+class GroundPlane:
     """A set's ground plane: the places X (m from the camera, ENU) with normal . X = 1."""
 
     normal: Array
 
     @classmethod
-    def of(cls, s: FeatureSet) -> _Plane | None:
+    def of(cls, s: FeatureSet) -> GroundPlane | None:
         """None of a plane that stands upright or is nowhere."""
         normal = np.asarray(s.R_enu_cam, float) @ s.plane_per_m[[1, 2, 0]]
         return None if abs(normal[2]) <= 1e-6 * float(np.linalg.norm(normal)) else cls(normal)
@@ -115,7 +115,7 @@ class _Plane:
         return out
 
 
-def _ground(s: FeatureSet, plane: _Plane, answers: Answers, east_north_m: Array, cell_m: float) -> Array:
+def _ground(s: FeatureSet, plane: GroundPlane, answers: Answers, east_north_m: Array, cell_m: float) -> Array:
     """Of places (N, 2): east, north, up of the ground; a cell's sizes in the picture (4); ground sample distance; and 1
     where none of this is known, as the set does not answer or no height settles (a hill is before the place): (9, N).
     """

@@ -142,15 +142,14 @@ class ServerContext:
     def seen(self, pin: Pin) -> list[dict[str, Any]]:
         """The pictures that show a pin, with where in them, in capture order."""
         where = pin_json(pin, self.places.place(pin))["place"]
-        height = where.get("height_ellipsoid_m")
-        height = where.get("height_amsl_m") if height is None else height
         rows: list[dict[str, Any]] = []
         if where["status"] != "ok":
             return rows
+        at = where["lat_deg"], where["lon_deg"], where["height_ellipsoid_m"], where["height_amsl_m"]
         for vehicle in self.source.vehicles():
             for row in self.source.frames(vehicle):
                 found = self.source.feature_set(vehicle, row.session, row.frame) if row.status.value == "ok" else None
-                uv = None if found is None else placed_in(found, where["lat_deg"], where["lon_deg"], height)
+                uv = None if found is None else placed_in(found, *at)
                 if uv is not None:
                     rows.append(
                         {

@@ -18,6 +18,7 @@ from contract.geodesy import LocalFrame
 from contract.kriging import MIN_PLANE_SHARE
 from contract.locate import Locator, pixels_of
 from ground.circular_error import ce90_m
+from ground.seen.picture_cells import GroundPlane, pixel_of
 from ground.web.advice import ADVICE
 
 Array = NDArray[np.float64]
@@ -26,6 +27,7 @@ Array = NDArray[np.float64]
 SAME_FEATURE_PX = 4.0
 COMMON_SHIFT_PX = 40.0
 EDGE_POINTS = 12  # of the footprint, along each edge of the picture
+MESH = 13, 10  # pixels, across and down, under which the page is given the ground, to lay the picture on it
 
 
 def frame_view(s: FeatureSet, earlier: Sequence[FeatureSet], age_s: float | None, locator: Locator) -> dict[str, Any]:
@@ -44,22 +46,24 @@ def frame_view(s: FeatureSet, earlier: Sequence[FeatureSet], age_s: float | None
         "width_px": s.camera.width_px,
         "height_px": s.camera.height_px,
         "camera": None,
-        "features": {"uv": [], "lonlat": [], "paths": []},
+        "features": {"uv": [], "lonlat": [], "rise_m": [], "paths": []},
         "footprint": [],
-        "corners": None,
+        "mesh": None,
         "ce90_centre_m": None,
     }
     if not s.is_ok:
         return out
     out["camera"] = camera_view(s)
     ground, usable = _ground_places(s)
+    plane = GroundPlane.of(s)
     places = _ellipsoidal(s).to_geodetic(ground)
     out["features"] = {
         "uv": np.round(s.uv_px[usable], 2).tolist(),
         "lonlat": np.round(places[:, [1, 0]], 8).tolist(),
+        "rise_m": [] if plane is None else np.round(plane.rise(ground), 3).tolist(),
         "paths": _paths(s, s.uv_px[usable], earlier),
     }
-    out["footprint"], out["corners"] = footprint(s)
+    out["footprint"], out["mesh"] = footprint(s), mesh(s)
     answer = locator.locate((0.5 * (s.camera.width_px - 1), 0.5 * (s.camera.height_px - 1)))
     if isinstance(answer, Fix):
         out["ce90_centre_m"] = round(ce90_m(answer.covariance_enu_m2[:2, :2]), 1)
@@ -68,7 +72,7 @@ def frame_view(s: FeatureSet, earlier: Sequence[FeatureSet], age_s: float | None
 
 def camera_view(s: FeatureSet) -> dict[str, Any]:
     """The camera of a set with a pose, and how it moved while its rows were read: what `placed_in` needs of it."""
-    c, shutter = s.camera, s.shutter
+    plane, c, shutter, is_known = GroundPlane.of(s), s.camera, s.shutter, not np.isnan(s.undulation_m)
     return {
         "fx": c.fx_px,
         "fy": c.fy_px,
@@ -79,6 +83,9 @@ def camera_view(s: FeatureSet) -> dict[str, Any]:
         "lat_deg": s.camera_lat_deg,
         "lon_deg": s.camera_lon_deg,
         "height_m": s.camera_height_m + _shift_m(s),
+        "is_ellipsoidal": _is_ellipsoidal(s),
+        "undulation_m": s.undulation_m if is_known else None,
+        "ground_per_m": None if plane is None else plane.normal.tolist(),
         "R_enu_cam": np.asarray(s.R_enu_cam, float).ravel().tolist(),
         "shutter": None
         if shutter is None
@@ -90,25 +97,47 @@ def camera_view(s: FeatureSet) -> dict[str, Any]:
     }
 
 
-def footprint(s: FeatureSet) -> tuple[list[list[float]], list[list[float]] | None]:
-    """Outline of the picture on its ground plane as longitude, latitude, closed, without what is at or above the
-    horizon; and the ground under its four corners from the top left clockwise, if all are ground.
-    """
+def footprint(s: FeatureSet) -> list[list[float]]:
+    """Outline of the picture on its ground plane as longitude, latitude, closed, without what has no ground."""
     w, h = s.camera.width_px - 0.5, s.camera.height_px - 0.5
     corner_px = np.array([[-0.5, -0.5], [w, -0.5], [w, h], [-0.5, h]])
     t = np.arange(EDGE_POINTS)[:, None] / EDGE_POINTS
     edge_px = np.concatenate([a + t * (b - a) for a, b in zip(corner_px, np.roll(corner_px, -1, axis=0), strict=True)])
     outline, ok = _on_plane(s, edge_px)
-    corners, corners_ok = _on_plane(s, corner_px)
     ring = [p for p, good in zip(outline, ok, strict=True) if good]
-    return ([*ring, ring[0]] if len(ring) >= 3 else []), (corners if bool(np.all(corners_ok)) else None)
+    return [*ring, ring[0]] if len(ring) >= 3 else []
 
 
-def placed_in(s: FeatureSet, lat_deg: float, lon_deg: float, height_ellipsoid_m: float | None) -> list[float] | None:
-    """The pixel that shows a place in a set's picture; None where it is not on it, or its height is not known."""
-    if not s.is_ok or height_ellipsoid_m is None:
+def mesh(s: FeatureSet) -> dict[str, Any]:
+    """The ground plane's longitude and latitude under a lattice of pixels from edge to edge, row by row.
+
+    None where a pixel has none: beyond what the lens' calibration describes, and at or above the horizon.
+    """
+    u = np.linspace(-0.5, s.camera.width_px - 0.5, MESH[0])
+    v = np.linspace(-0.5, s.camera.height_px - 0.5, MESH[1])
+    places, ok = _on_plane(s, np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2))
+    return {"columns": MESH[0], "lonlat": [p if good else None for p, good in zip(places, ok, strict=True)]}
+
+
+def placed_in(
+    s: FeatureSet,
+    lat_deg: float,
+    lon_deg: float,
+    height_ellipsoid_m: float | None = None,
+    height_amsl_m: float | None = None,
+) -> list[float] | None:
+    """The pixel that shows a place in a set's picture; None where it is not on it.
+
+    A place of which no height is known, or none that the set's can be compared with, is on the ground as the set has
+    it.
+    """
+    if not s.is_ok:
         return None
-    enu_m = _ellipsoidal(s).to_enu(lat_deg, lon_deg, height_ellipsoid_m)
+    height_m = _height_in(s, height_ellipsoid_m, height_amsl_m)
+    if height_m is None:
+        on_ground = pixel_of(s, lat_deg, lon_deg)
+        return None if on_ground is None else list(on_ground)
+    enu_m = _ellipsoidal(s).to_enu(lat_deg, lon_deg, height_m)
     (uv,), (usable,) = pixels_of(s, enu_m[None])
     return [float(uv[0]), float(uv[1])] if usable and s.camera.contains(uv) else None
 
@@ -122,6 +151,20 @@ def _shift_m(s: FeatureSet) -> float:
     """From the set's datum to the ellipsoid, as `contract.locate` takes it: zero where that is not known."""
     known = s.height_datum is HeightDatum.AMSL and not np.isnan(s.undulation_m)
     return float(s.undulation_m) if known else 0.0
+
+
+def _is_ellipsoidal(s: FeatureSet) -> bool:
+    """Whether `camera_height_m` and `_shift_m` together are a height above the ellipsoid."""
+    return s.height_datum is HeightDatum.ELLIPSOID or not np.isnan(s.undulation_m)
+
+
+def _height_in(s: FeatureSet, height_ellipsoid_m: float | None, height_amsl_m: float | None) -> float | None:
+    """A place's height in the datum of `_ellipsoidal`; None where it is not known in that one."""
+    if not _is_ellipsoidal(s):
+        return height_amsl_m
+    if height_ellipsoid_m is None and height_amsl_m is not None and not np.isnan(s.undulation_m):
+        return height_amsl_m + s.undulation_m
+    return height_ellipsoid_m
 
 
 def _ellipsoidal(s: FeatureSet) -> LocalFrame:

@@ -158,7 +158,7 @@ def test_pictures_and_their_features_are_served(api: Api, simulated: Simulated) 
     assert len(view["features"]["uv"]) == len(found)
     tracked = sum(bool(path) for path in view["features"]["paths"])
     assert 0.5 * len(found) < tracked <= len(found)
-    assert len(view["corners"]) == 4
+    assert all(view["mesh"]["lonlat"])
     refused = api.client.get(f"/api/vehicles/{simulated.vehicle}/frames/{simulated.refused}/features").json()
     assert (refused["status"], refused["camera"]) == ("turning", None)
     assert refused["advice"]
@@ -229,6 +229,23 @@ def test_pins_are_filtered(api: Api) -> None:
     assert found(category="vehicle") == ["car"]
     assert found(who="anna") == ["Tent by the creek"]
     assert len(found()) == 2
+
+
+@pytest.mark.parametrize("datum", [None, "height_amsl_m"])
+def test_a_last_known_position_without_a_height_was_seen_by_the_pictures_that_show_its_ground(
+    api: Api, simulated: Simulated, datum: str | None
+) -> None:
+    clicked = api.pin(320, 240, simulated.newest - 4)
+
+    def seen(pin: dict[str, Any]) -> dict[int, tuple[float, float]]:
+        rows = api.client.get(f"/api/pins/{pin['id']}/seen").json()
+        return {row["frame"]: (row["u_px"], row["v_px"]) for row in rows}
+
+    heights = {} if datum is None else {datum: clicked["place"][datum]}
+    typed = {"lat_deg": clicked["place"]["lat_deg"], "lon_deg": clicked["place"]["lon_deg"], **heights}
+    found = seen(api.client.post("/api/pins", json=typed).json()["pin"])
+    assert len(found) >= 8 and found.keys() == seen(clicked).keys()
+    assert found[simulated.newest - 4] == pytest.approx((320.0, 240.0), abs=2.0)
 
 
 def test_a_pin_clicked_again_is_surer_and_one_clicked_elsewhere_contradicts_itself(

@@ -12,12 +12,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from contract.answer import Fix
 from contract.camera import Camera
-from contract.feature_set import FeatureSet, Status
+from contract.feature_set import FeatureSet, HeightDatum, Status
 from contract.geodesy import LocalFrame
+from contract.locate import Locator
 from contract.rolling_shutter import RollingShutter
 from contract.rotations import exp_so3
-from ground.web.view import camera_view, placed_in
+from ground.web.view import MESH, camera_view, frame_view, mesh, placed_in
+from tests.contract.sets import plain_set
+from tests.ground.seen.levels import level_set
 from tests.web.served import ROOT
 
 
@@ -51,6 +55,71 @@ def projection_cases(path: Path) -> None:
     path.write_text(json.dumps(cases))
 
 
+def over_a_slope() -> FeatureSet:
+    """An oblique picture of ground that rises to the east, of which the plane knows nothing."""
+    flat = level_set(tilt_deg=25.0)
+    xy = flat.camera.unproject(flat.uv_px)[0][:, :2]
+    return replace(flat, inverse_depth_per_m=flat.inverse_depth_per_m * (1.0 + 0.3 * xy[:, 0]), roughness=1e-3)
+
+
+def ground_cases(path: Path) -> None:
+    """Places without a height, or with one that the set's own cannot be compared with, with where they are seen."""
+    rng, cases = np.random.default_rng(6), []
+    amsl = over_a_slope()
+    both, ellipsoid = replace(amsl, undulation_m=48.0), replace(amsl, height_datum=HeightDatum.ELLIPSOID)
+    for k in range(60):
+        s = (amsl, both, ellipsoid)[k % 3]
+        uv = rng.uniform([60.0, 60.0], [580.0, 420.0])
+        at = Locator(s).locate(uv)
+        assert isinstance(at, Fix)
+        heights = ((None, None), (at.height_ellipsoid_m, None), (None, at.height_amsl_m))[k // 3 % 3]
+        place = {
+            "lat_deg": at.lat_deg,
+            "lon_deg": at.lon_deg,
+            "height_ellipsoid_m": heights[0],
+            "height_amsl_m": heights[1],
+        }
+        found = placed_in(s, at.lat_deg, at.lon_deg, *heights)
+        assert found is not None and np.hypot(*np.subtract(found, uv)) < 1.5
+        cases.append({"frame": frame_view(s, [], None, Locator(s)), "place": place, "uv": found})
+    path.write_text(json.dumps(cases))
+
+
+def test_a_place_of_unknown_height_is_in_a_picture_where_its_ground_is() -> None:
+    """Of a height in the other datum nothing is made up: 48 m of undulation would be half a picture."""
+    flat = level_set(tilt_deg=20.0)
+    at = Locator(flat).locate((400.0, 150.0))
+    assert isinstance(at, Fix) and at.height_amsl_m is not None
+    where = at.lat_deg, at.lon_deg
+    for s in (flat, replace(flat, undulation_m=48.0)):
+        assert placed_in(s, *where) == pytest.approx((400.0, 150.0), abs=0.1)
+        assert placed_in(s, *where, None, at.height_amsl_m) == pytest.approx((400.0, 150.0), abs=0.1)
+    assert placed_in(flat, *where, at.height_amsl_m + 48.0, None) == pytest.approx((400.0, 150.0), abs=0.1)
+    assert placed_in(flat, where[0] + 0.01, where[1]) is None
+
+
+def test_a_picture_lies_on_the_ground_as_far_as_it_shows_ground() -> None:
+    """A lens whose calibration ends before the corners, and a picture with the horizon in it."""
+    folding = Camera(640, 480, 520.0, 520.0, 316.0, 241.0, (0.166, -0.223, -0.0038, 0.0024, -0.608))
+    lens, horizon = plain_set(camera=folding), level_set(tilt_deg=80.0)
+    for s, least in ((lens, 0.8), (horizon, 0.3)):
+        found = mesh(s)
+        known = [place is not None for place in found["lonlat"]]
+        assert len(known) % found["columns"] == 0
+        assert least * len(known) < sum(known) < len(known)
+        for (u, v), place in zip(lattice(s), found["lonlat"], strict=True):
+            at = Locator(s).locate((u, v))
+            if place is not None and isinstance(at, Fix) and s is horizon:
+                assert np.hypot(place[0] - at.lon_deg, place[1] - at.lat_deg) < 1e-6 * max(1.0, 480.0 - v)
+    assert all(place is not None for place in mesh(plain_set())["lonlat"])
+
+
+def lattice(s: FeatureSet) -> list[tuple[float, float]]:
+    """The pixels of a mesh."""
+    u, v = (np.linspace(-0.5, size - 0.5, count) for size, count in zip(s.camera.size_px, MESH, strict=True))
+    return [(float(x), float(y)) for y in v for x in u]
+
+
 def test_the_pages_own_arithmetic_is_right(tmp_path: Path) -> None:
     if not (ROOT / "frontend" / "node_modules").is_dir():
         pytest.fail("the page's tools are not there: make web")
@@ -58,7 +127,9 @@ def test_the_pages_own_arithmetic_is_right(tmp_path: Path) -> None:
     projection_cases(cases)
     node = shutil.which("node")
     assert node is not None
-    environment = {**os.environ, "PROJECTION_CASES": str(cases)}
+    on_ground = tmp_path / "ground.json"
+    ground_cases(on_ground)
+    environment = {**os.environ, "PROJECTION_CASES": str(cases), "GROUND_CASES": str(on_ground)}
     out = tmp_path / "tests"
     for command in (
         [node, "build.mjs", "--tests", str(out)],
@@ -69,7 +140,7 @@ def test_the_pages_own_arithmetic_is_right(tmp_path: Path) -> None:
         )
         assert done.returncode == 0, done.stdout + done.stderr
     assert "# fail 0" in done.stdout
-    assert "# pass 18" in done.stdout
+    assert "# pass 20" in done.stdout
 
 
 def test_the_page_is_built_from_what_is_here_and_names_no_other_origin() -> None:
