@@ -7,7 +7,6 @@ from pathlib import Path
 
 from contract.feature_set import Status
 from demo.__main__ import HEADER, head_text, row_text
-from onboard.config.renamed_keys import RENAMED
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -34,13 +33,6 @@ def test_links_between_the_pages_lead_somewhere() -> None:
 def test_every_refusal_has_one_row_in_the_readme() -> None:
     rows = re.findall(r"^\| `(\w+)` \|", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE)
     assert sorted(rows) == sorted(status.value for status in Status if status is not Status.OK)
-
-
-def test_the_glossary_has_every_renamed_key() -> None:
-    text = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8").partition("## Renamed keys")[2]
-    rows = [re.findall(r"`(\w+\.\w+)`", row) for row in text.splitlines() if row.startswith("| `")]
-    halves = [(names[: len(names) // 2], names[len(names) // 2 :]) for names in rows]
-    assert {old: new for olds, news in halves for old, new in zip(olds, news, strict=True)} == RENAMED
 
 
 def test_the_readme_shows_the_demo_s_table_as_the_demo_prints_it() -> None:

@@ -17,7 +17,6 @@ Mask = NDArray[np.bool_]
 
 MAX_WIDTH = 44  # bits; wider values mean a sigma absurdly small relative to its depth
 SHORT = 16  # bits a number that `fixed_to_bits` is quicker with
-_WORD = 63  # bits of neighbouring columns that are put together before they are taken apart into bits
 # Which of a 16-bit number's bits are its k lowest, most significant bit first.
 LOWEST: Mask = np.arange(SHORT)[None, :] >= SHORT - np.arange(SHORT + 1)[:, None]
 
@@ -38,34 +37,6 @@ def rice_parameter(total: int, count: int) -> int:
     Of numbers with a geometric distribution no other takes fewer bits, or next to none do (Kiely 2004).
     """
     return min((total // (2 * count)).bit_length(), MAX_WIDTH - 1)
-
-
-def _words(widths: list[int]) -> list[tuple[list[int], int]]:
-    """Neighbouring widths that fit one word together, and their sums."""
-    out: list[tuple[list[int], int]] = []
-    for width in widths:
-        if out and out[-1][1] + width <= _WORD:
-            held, total = out[-1]
-            out[-1] = ([*held, width], total + width)
-        else:
-            out.append(([width], width))
-    return out
-
-
-def bits_to_fixed(bits: Bits, widths: list[int]) -> list[Ints]:
-    """Rows of neighbouring fields of `widths` bits -> columns; the number of rows follows from the number of bits."""
-    table = bits.reshape(-1, sum(widths))
-    out: list[Ints] = []
-    start = 0
-    for group, total in _words(widths):
-        padded = np.zeros((len(table), 64), np.uint8)
-        padded[:, 64 - total :] = table[:, start : start + total]
-        word = np.packbits(padded.ravel()).view(">i8").astype(np.int64)
-        start, below = start + total, total
-        for width in group:
-            below -= width
-            out.append((word >> below) & ((1 << width) - 1))
-    return out
 
 
 def fixed_to_bits(values: Ints, ks: Ints) -> Bits:

@@ -14,7 +14,6 @@ from typing import Any
 from contract.camera import Camera
 from contract.errors import CorruptPayload, NewerPayload, TruncatedPayload
 from contract.feature_set import COMMON_STATES, DepthSource, FeatureSet, HeightDatum, Status
-from contract.wire import version_2
 from contract.wire.byte_cursor import ByteCursor
 from contract.wire.common_code import common_from_numbers, common_numbers, shared_codes, shared_from_codes
 from contract.wire.covariance_code import sigma_code, sigma_from_code
@@ -24,11 +23,6 @@ from contract.wire.number_code import decode_numbers, encode_numbers
 
 MAGIC = b"PC"
 MAJOR, MINOR = 4, 0
-# Refused sets have neither pose nor features and stay what older readers know: version 2.0, or 2.1 with a newer status.
-REFUSED_MAJOR, REFUSED_MINOR = 2, 1
-STATUSES_OF_FIRST = 16  # that version 2.0 has
-ROLLING_MAJOR = 3  # version 2 with a rolling shutter
-NEWEST_MINOR = {REFUSED_MAJOR: REFUSED_MINOR, ROLLING_MAJOR: 0, MAJOR: MINOR}  # of each major version that is read
 MAX_VEHICLE_BYTES = 32
 
 # Section 2: magic, version, length, flags, status, session, frame, revision, capture time, vehicle's length.
@@ -84,10 +78,8 @@ def encode(feature_set: FeatureSet) -> bytes:
             raise ValueError(f"{name} must be between 0 and {256**bytes_ - 1}, not {value}")
     camera = _rounded(s.camera)
     flags = _KEYFRAME * s.is_keyframe | _DISTORTED * any(camera.distortion)
-    version = REFUSED_MAJOR << 4 | (REFUSED_MINOR if s.status.code >= STATUSES_OF_FIRST else 0)
     body = vehicle + _encode_camera(camera)
     if s.is_ok:
-        version = MAJOR << 4 | MINOR
         flags |= _POSED | (_ELLIPSOID if s.height_datum is HeightDatum.ELLIPSOID else 0)
         flags |= _SOURCES.index(s.depth_source) << _SOURCE_SHIFT
         flags |= 0 if math.isnan(s.undulation_m) else _UNDULATION
@@ -97,7 +89,7 @@ def encode(feature_set: FeatureSet) -> bytes:
         raise ValueError(f"a set with status {s.status.value!r} carries no features, this one has {len(s)}")
     head = _HEAD.pack(
         MAGIC,
-        version,
+        MAJOR << 4 | MINOR,
         _HEAD.size + len(body) + _CRC.size,
         flags,
         s.status.code,
@@ -128,13 +120,10 @@ def decode(payload: bytes) -> FeatureSet:
     if not 1 <= vehicle_bytes <= MAX_VEHICLE_BYTES:
         raise CorruptPayload(f"vehicle name of {vehicle_bytes} bytes")
     camera = _decode_camera(cursor, bool(flags & _DISTORTED))
-    major, minor = version >> 4, version & 15
-    geometry = _decode_geometry(cursor, camera, flags, major) if flags & _POSED else {}
-    if minor <= NEWEST_MINOR[major] and cursor.position != cursor.end:
+    geometry = _decode_geometry(cursor, camera, flags) if flags & _POSED else {}
+    if version & 15 <= MINOR and cursor.position != cursor.end:
         raise CorruptPayload(f"{cursor.end - cursor.position} bytes are left over")
     status = _status(status_code)
-    if major > REFUSED_MAJOR and not geometry:
-        raise CorruptPayload(f"a refused set in version {major}")
     if (status is Status.OK) != bool(geometry):
         raise CorruptPayload(f"status {status.value!r} with{'' if geometry else 'out'} a pose")
     return FeatureSet(
@@ -155,8 +144,8 @@ def _read_head(payload: bytes) -> tuple[Any, ...]:
         raise CorruptPayload(f"payload starts with {payload[:2]!r}, not {MAGIC!r}")
     if len(payload) < 3:
         raise TruncatedPayload(f"payload has {len(payload)} bytes")
-    if (major := payload[2] >> 4) not in NEWEST_MINOR:
-        read = f"payload has version {major}.{payload[2] & 15}, this program reads {REFUSED_MAJOR}.x to {MAJOR}.x"
+    if (major := payload[2] >> 4) != MAJOR:
+        read = f"payload has version {major}.{payload[2] & 15}, this program reads {MAJOR}.x"
         raise NewerPayload(f"{read}: update it") if major > MAJOR else CorruptPayload(read)
     if len(payload) < _HEAD.size:
         raise TruncatedPayload(f"payload has {len(payload)} bytes, its head alone takes {_HEAD.size}")
@@ -209,7 +198,7 @@ def _encode_geometry(s: FeatureSet, camera: Camera) -> bytes:
     return fixed + (b"" if s.shutter is None else encode_shutter(s.shutter)) + encode_numbers(common, columns)
 
 
-def _decode_geometry(cursor: ByteCursor, camera: Camera, flags: int, major: int) -> dict[str, Any]:
+def _decode_geometry(cursor: ByteCursor, camera: Camera, flags: int) -> dict[str, Any]:
     """The fields of a FeatureSet behind its camera."""
     source = flags >> _SOURCE_SHIFT & _SOURCE_MASK
     if source >= len(_SOURCES):
@@ -218,14 +207,10 @@ def _decode_geometry(cursor: ByteCursor, camera: Camera, flags: int, major: int)
         "height_datum": HeightDatum.ELLIPSOID if flags & _ELLIPSOID else HeightDatum.AMSL,
         "depth_source": _SOURCES[source],
     }
-    has_undulation = bool(flags & _UNDULATION)
-    if major < MAJOR:
-        is_rolling = major == ROLLING_MAJOR
-        return out | version_2.decode_geometry(cursor, camera, has_undulation=has_undulation, is_rolling=is_rolling)
     fixed = cursor.unpack(_GEOMETRY)
     spread, roughness = fixed[_POSE : _POSE + 2]
     count, base = fixed[-2:]
-    out |= pose_from_numbers(fixed[:_POSE], has_undulation=has_undulation)
+    out |= pose_from_numbers(fixed[:_POSE], has_undulation=bool(flags & _UNDULATION))
     out["plane_sigma_relative"], out["roughness"] = sigma_from_code(spread), sigma_from_code(roughness)
     out["shutter"] = decode_shutter(cursor) if flags & _ROLLING else None
     numbers, columns = decode_numbers(cursor, count)

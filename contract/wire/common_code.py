@@ -29,14 +29,12 @@ from contract.wire.covariance_code import (
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-STEP = 0.25  # the coarsest: versions 2 and 3 could write it too
-HALVINGS = 2  # of it
-MAX_STEPS = 2**12 - 1  # of the coarsest
+STEP = 1 / 16  # of a sigma of what is fresh
+MAX_STEPS = 16380
 SPAN_STEPS = 100  # a second
 MAX_SPAN_STEPS = 2**15 - 1
 CORRELATIONS = COMMON_STATES * (COMMON_STATES - 1) // 2
 SIZES = [CORRELATIONS] + [COMMON_STATES] * NUISANCES  # numbers a group
-GROUPS = np.repeat(np.arange(len(SIZES)), SIZES)  # of each number
 
 
 def common_numbers(common_cov: Array, shared: SharedErrors) -> tuple[list[int], Ints]:
@@ -56,10 +54,10 @@ def common_numbers(common_cov: Array, shared: SharedErrors) -> tuple[list[int], 
     return sigmas, bits.zigzag(np.concatenate([correlations, _steps(by_nuisance, factor).T.ravel()]))
 
 
-def common_from_numbers(sigmas: list[int], numbers: Ints, halvings: int = HALVINGS) -> dict[str, Array]:
-    """common_cov and by_nuisance, in steps of STEP / 2^halvings: inverse of `common_numbers`. Raises CorruptPayload."""
+def common_from_numbers(sigmas: list[int], numbers: Ints) -> dict[str, Array]:
+    """The fields common_cov and by_nuisance; the inverse of `common_numbers`. Raises CorruptPayload."""
     # In zigzag a number within a limit is one up to twice the limit.
-    most = 2 * MAX_CORRELATION_CODE, 2 * MAX_STEPS << halvings
+    most = 2 * MAX_CORRELATION_CODE, 2 * MAX_STEPS
     largest = np.maximum.reduceat(numbers, [0, CORRELATIONS]).tolist()
     if largest[0] > most[0] or largest[1] > most[1]:
         raise CorruptPayload("a correlation or a shared error is larger than can be written")
@@ -69,7 +67,7 @@ def common_from_numbers(sigmas: list[int], numbers: Ints, halvings: int = HALVIN
     if rows is None:
         raise CorruptPayload(f"correlations {correlations} mean nothing")
     factor = np.array(rows)
-    by_nuisance = factor @ (steps.T * (STEP / 2**halvings))
+    by_nuisance = factor @ (steps.T * STEP)
     both = np.concatenate([factor, by_nuisance], axis=1)
     return {"common_cov": both @ both.T, "by_nuisance": by_nuisance}
 
@@ -82,9 +80,8 @@ def _steps(by_nuisance: Array, factor: list[list[float]]) -> Ints:
         by_nuisance[known] = 0.0
         for i in known:
             factor[i][i] = 1.0
-    in_sigmas = np.array(inverse_of_factor(factor)) @ by_nuisance * (2**HALVINGS / STEP)
-    most = MAX_STEPS << HALVINGS
-    out: Ints = np.maximum(np.minimum(np.rint(in_sigmas), most), -most).astype(np.int64)
+    in_sigmas = np.array(inverse_of_factor(factor)) @ by_nuisance / STEP
+    out: Ints = np.maximum(np.minimum(np.rint(in_sigmas), MAX_STEPS), -MAX_STEPS).astype(np.int64)
     return out
 
 

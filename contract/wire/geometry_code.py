@@ -55,33 +55,20 @@ def pose_from_numbers(numbers: Sequence[Any], *, has_undulation: bool) -> dict[s
     """Inverse of `pose_numbers`: fields of a FeatureSet. Raises CorruptPayload."""
     lat, lat_high, lon, lon_high, height, und, und_high, x, x_high, y, y_high, z, z_high, *plane = numbers
     steps = (x_high << 16) + x, (y_high << 16) + y, (z_high << 16) + z
-    out = checked_pose(
-        ((lat_high << 32) + lat) / DEGREE_STEPS,
-        ((lon_high << 32) + lon) / DEGREE_STEPS,
-        height / METRE_STEPS,
-        steps,
-        plane,
-    )
-    out["undulation_m"] = ((und_high << 16) + und) / METRE_STEPS if has_undulation else math.nan
-    return out
-
-
-def checked_pose(
-    lat_deg: float, lon_deg: float, height_m: float, rotation_steps: tuple[int, int, int], plane: list[float]
-) -> dict[str, Any]:
-    """Fields of a FeatureSet. Raises CorruptPayload."""
+    lat_deg, lon_deg = ((lat_high << 32) + lat) / DEGREE_STEPS, ((lon_high << 32) + lon) / DEGREE_STEPS
     if abs(lat_deg) > 90.0 or abs(lon_deg) > 180.0:
         raise CorruptPayload(f"camera position {lat_deg}, {lon_deg} is not a latitude and longitude")
-    if math.hypot(*rotation_steps) * ROTATION_STEP > math.pi:
-        raise CorruptPayload(f"rotation vector {rotation_steps} is longer than half a turn")
+    if math.hypot(*steps) * ROTATION_STEP > math.pi:
+        raise CorruptPayload(f"rotation vector {steps} is longer than half a turn")
     if not all(map(math.isfinite, plane)):
         raise CorruptPayload("the ground plane is not finite")
     return {
         "camera_lat_deg": lat_deg,
         "camera_lon_deg": lon_deg,
-        "camera_height_m": height_m,
-        "R_enu_cam": np.array(exp_of_plain(*(n * ROTATION_STEP for n in rotation_steps))),
+        "camera_height_m": height / METRE_STEPS,
+        "R_enu_cam": np.array(exp_of_plain(*(n * ROTATION_STEP for n in steps))),
         "plane_per_m": np.array(plane),
+        "undulation_m": ((und_high << 16) + und) / METRE_STEPS if has_undulation else math.nan,
     }
 
 

@@ -21,7 +21,6 @@ from pydantic.fields import FieldInfo
 
 from contract.errors import ConfigError
 from contract.thermal_scale import ThermalScale
-from onboard.config.renamed_keys import with_present_names
 from onboard.config.second_camera import SecondCamera
 from onboard.config.section import Section, choice, quantity
 
@@ -448,9 +447,9 @@ def parse_config(text: str) -> Config:
 
 
 def parse_table(text: str) -> dict[str, Any]:
-    """TOML text -> its table, renamed keys under their present names; raises ConfigError."""
+    """TOML text -> its table; raises ConfigError."""
     try:
-        return with_present_names(tomllib.loads(text))
+        return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"not TOML: {' '.join(str(error).split())}") from error
 

@@ -9,17 +9,6 @@ from hypothesis import strategies as st
 
 from contract.wire import bits
 
-widths = st.lists(st.integers(0, 43), min_size=1, max_size=5).filter(lambda w: sum(w) > 0)
-
-
-@given(widths, st.integers(1, 40), st.integers(0, 2**32 - 1))
-def test_columns_are_read_row_by_row_whatever_their_widths(widths: list[int], rows: int, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    columns = [rng.integers(0, 1 << width, rows) for width in widths]
-    text = "".join(f"{column[i]:0{w}b}" for i in range(rows) for column, w in zip(columns, widths, strict=True) if w)
-    for got, want in zip(bits.bits_to_fixed(np.array([*text], np.uint8), widths), columns, strict=True):
-        np.testing.assert_array_equal(got, want)
-
 
 @given(
     st.sampled_from([16, 17, 43]).flatmap(

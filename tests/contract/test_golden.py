@@ -1,4 +1,4 @@
-"""The wire format of versions 2.0, 3.0 and 4.0, frozen: golden bytes next to what they mean."""
+"""The wire format of version 4.0, frozen: golden bytes next to what they mean."""
 
 import json
 import struct
@@ -32,12 +32,8 @@ def assert_close(got: Any, want: Any, where: str) -> None:
 
 
 def test_there_are_golden_payloads_of_every_kind() -> None:
-    with_features = ["a_hundred_features", "plane_only", "rolling_shutter", "twelve_features"]
-    assert sorted(NAMES) == sorted([*with_features, *(f"{name}_4" for name in with_features), "refused"])
-    versions = {name: (GOLDEN / f"{name}.bin").read_bytes()[2] for name in NAMES}
-    assert {version for name, version in versions.items() if name.endswith("_4")} == {0x40}
-    assert versions["rolling_shutter"] == 0x30
-    assert {versions[name] for name in ("a_hundred_features", "plane_only", "twelve_features", "refused")} == {0x20}
+    assert sorted(NAMES) == ["a_hundred_features", "plane_only", "refused", "rolling_shutter", "twelve_features"]
+    assert {(GOLDEN / f"{name}.bin").read_bytes()[2] for name in NAMES} == {0x40}
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -46,33 +42,16 @@ def test_golden_bytes_decode_to_what_they_meant(name: str) -> None:
     assert_close(plain_json(decode((GOLDEN / f"{name}.bin").read_bytes())), want, name)
 
 
-@pytest.mark.parametrize("name", [name for name in NAMES if name.endswith("_4") or name == "refused"])
+@pytest.mark.parametrize("name", NAMES)
 def test_golden_sets_encode_to_their_bytes(name: str) -> None:
     payload = (GOLDEN / f"{name}.bin").read_bytes()
     assert encode(decode(payload)) == payload
 
 
-@pytest.mark.parametrize("name", ["a_hundred_features", "plane_only", "rolling_shutter", "twelve_features"])
-def test_golden_sets_of_old_versions_mean_the_same_in_the_new_one(name: str) -> None:
-    old, new = (decode((GOLDEN / f"{n}.bin").read_bytes()) for n in (name, f"{name}_4"))
-    again = decode(encode(old))
-    # The old ones of a hundred features had room for coarse steps of shared errors only.
-    for one, rounding in ((again, 0.01), (new, 0.05)):
-        np.testing.assert_allclose(one.plane_per_m, old.plane_per_m, rtol=1e-12)
-        sigma = np.sqrt(np.diag(old.common_cov))
-        np.testing.assert_allclose(np.sqrt(np.diag(one.common_cov)), sigma, rtol=rounding)
-        assert (one.shutter is None) == (old.shutter is None)
-        assert len(one) == len(old)
-        # Features are in whole pixels now and in another order; each has one of the old within a pixel.
-        if len(one):
-            apart = np.abs(one.uv_px[:, None] - old.uv_px).max(axis=2)
-            assert apart.min(axis=1).max() <= 0.626
-
-
 def test_the_offsets_in_the_document_are_those_of_the_bytes() -> None:
     """Reads a payload with nothing but docs/wire-format.md, sections 2 to 5, in hand."""
-    b = (GOLDEN / "twelve_features_4.bin").read_bytes()
-    want = json.loads((GOLDEN / "twelve_features_4.json").read_text())
+    b = (GOLDEN / "twelve_features.bin").read_bytes()
+    want = json.loads((GOLDEN / "twelve_features.json").read_text())
     assert (b[0:2], b[2]) == (b"PC", 0x40)
     assert struct.unpack_from("<H", b, 3)[0] == len(b)
     assert b[5] == 0b0100_1101  # geometry, parallax, distortion, undulation, AMSL, keyframe
@@ -139,59 +118,11 @@ def check_depths(want: dict[str, Any], cells: Any, off_plane: Any) -> None:
         assert w == pytest.approx(a + grown * (slope_x * x + slope_y * y) + off, rel=1e-9)
 
 
-def test_the_offsets_of_version_2_in_the_document_are_those_of_the_bytes() -> None:
-    """Its appendix."""
-    b = (GOLDEN / "twelve_features.bin").read_bytes()
-    want = json.loads((GOLDEN / "twelve_features.json").read_text())
-    assert (b[0:2], b[2]) == (b"PC", 0x20)
-    assert struct.unpack_from("<H", b, 3)[0] == len(b)
-    assert b[5] == 0b0100_1101  # geometry, parallax, distortion, undulation, AMSL, keyframe
-    assert b[6] == 0
-    assert struct.unpack_from("<IIHQ", b, 7) == (want["session"], want["frame"], 2, want["capture_unix_ns"])
-    assert b[25] == 5 and b[26:31] == b"uav-1"
-    assert struct.unpack_from("<HH", b, 31) == (640, 480)
-    assert struct.unpack_from("<4f", b, 35)[0] == want["camera"]["fx_px"]
-    assert struct.unpack_from("<5f", b, 51)[0] == want["camera"]["distortion"][0]
-    g = 71
-    assert int.from_bytes(b[g : g + 5], "little", signed=True) == -35123456789
-    assert int.from_bytes(b[g + 5 : g + 10], "little", signed=True) == 149165432109
-    assert struct.unpack_from("<i", b, g + 10)[0] == 812345
-    assert int.from_bytes(b[g + 14 : g + 17], "little", signed=True) == 19250
-    assert list(struct.unpack_from("<3f", b, g + 26)) == want["plane_per_m"]
-    by_nuisance, cov = np.array(want["shared"]["by_nuisance"]), np.array(want["common_cov"])
-    fresh = cov - by_nuisance @ by_nuisance.T
-    sigmas = 1e-12 * np.exp(0.0006 * (np.array(struct.unpack_from("<9H", b, g + 42)) - 1.0))
-    np.testing.assert_allclose(sigmas, np.sqrt(np.diag(fresh)), rtol=1e-9)
-    assert 1e-12 * np.exp(0.0006 * (struct.unpack_from("<H", b, g + 60)[0] - 1.0)) == pytest.approx(60.0, rel=1e-3)
-    assert struct.unpack_from("<2h", b, g + 72) == (-425, 475)
-    # Halvings of the step, Rice parameters, the fixed parts of all groups, the unary ones; first column: east.
-    bits = np.unpackbits(np.frombuffer(b, np.uint8, offset=g + 76))
-    halvings, *ks = (int(k) for k in bits[:60].reshape(15, 4) @ [8, 4, 2, 1])
-    assert halvings == 2
-    widths = [k for k, n in zip(ks, [36] + [9] * 13, strict=True) if k < 15 for _ in range(n)]
-    ends = np.flatnonzero(bits[60 + sum(widths) :])
-    first = (int(ends[0]) << ks[0]) + int("".join(map(str, bits[60 : 60 + ks[0]])), 2)
-    p = np.tanh(0.05 * (-(first + 1) // 2 if first % 2 else first // 2))
-    assert p == pytest.approx(fresh[1, 0] / np.sqrt(fresh[0, 0] * fresh[1, 1]), rel=1e-6)
-    at = 36 * ks[0]
-    number = (int(ends[36] - ends[35] - 1) << ks[1]) + int("".join(map(str, bits[60 + at : 60 + at + ks[1]])), 2)
-    step = -(number + 1) // 2 if number % 2 else number // 2
-    assert by_nuisance[0, 0] == pytest.approx(sigmas[0] * 0.25 / 4 * step, rel=1e-9)
-    g += 76 + -(-(60 + sum(widths) + int(ends[len(widths) - 1]) + 1) // 8)
-    assert b[g] == 12
-    assert struct.unpack_from("<I", b, len(b) - 4)[0] == zlib.crc32(b[:-4])
-
-
 def test_the_rows_of_a_rolling_shutter_lie_where_the_document_says() -> None:
-    """Section 4.5: before the numbers; in version 3 between the plane's roughness and the fresh sigmas."""
-    for name, version, g in (("rolling_shutter_4", 0x40, 71 + 79), ("rolling_shutter", 0x30, 71 + 42)):
-        b = (GOLDEN / f"{name}.bin").read_bytes()
-        want = json.loads((GOLDEN / f"{name}.json").read_text())["shutter"]
-        assert (b[2], b[5] >> 7) == (version, int(version == 0x40))
-        check_shutter(b, g, want)
-
-
-def check_shutter(b: bytes, g: int, want: dict[str, Any]) -> None:
+    """Section 4.5: before the numbers."""
+    b, g = (GOLDEN / "rolling_shutter.bin").read_bytes(), 71 + 79
+    want = json.loads((GOLDEN / "rolling_shutter.json").read_text())["shutter"]
+    assert b[5] >> 7 == 1
     readout_s, sigma, *steps = struct.unpack_from("<fH6h", b, g)
     assert readout_s == want["readout_s"] == pytest.approx(-0.021, rel=1e-6)
     assert 1e-12 * np.exp(0.0006 * (sigma - 1.0)) == pytest.approx(want["sigma_readout_s"], rel=1e-12)

@@ -1,7 +1,6 @@
 """Writes the golden payloads and what they must decode to: `python -m tests.contract.golden.make`.
 
-Run only when the wire format itself changes, with its version. Files without a version in their name are of versions
-2.0 and 3.0 and stay as they were written then; refused sets are version 2.0 still.
+Run only when the wire format itself changes, with its version.
 """
 
 import dataclasses
@@ -14,7 +13,7 @@ import numpy as np
 
 from contract.feature_set import DepthSource, FeatureSet, HeightDatum, Status
 from contract.rolling_shutter import RollingShutter
-from contract.wire.codec import MAJOR, decode, encode
+from contract.wire.codec import decode, encode
 from tests.contract.sets import DISTORTION, plain_set
 
 HERE = Path(__file__).parent
@@ -67,9 +66,8 @@ def main() -> None:
     assert plain_set(0).camera.distortion == DISTORTION
     for name, feature_set in cases().items():
         payload = encode(feature_set)
-        file = f"{name}_{MAJOR}" if feature_set.is_ok else name
-        (HERE / f"{file}.bin").write_bytes(payload)
-        (HERE / f"{file}.json").write_text(json.dumps(plain_json(decode(payload)), indent=1, ensure_ascii=False) + "\n")
+        (HERE / f"{name}.bin").write_bytes(payload)
+        (HERE / f"{name}.json").write_text(json.dumps(plain_json(decode(payload)), indent=1, ensure_ascii=False) + "\n")
 
 
 if __name__ == "__main__":
