@@ -229,6 +229,12 @@ def _add_setup(setup: argparse.ArgumentParser) -> None:
         "--telemetry", metavar="URL", help="telemetry.url; without it serial and UDP ports are listened to"
     )
     setup.add_argument(
+        "--system",
+        type=int,
+        metavar="N",
+        help="telemetry.system, the vehicle's MAVLink number; without it the one received",
+    )
+    setup.add_argument(
         "--mount", type=angles, metavar="ROLL,PITCH,YAW", help="how the camera sits, degrees: 0,-90,0 looks down"
     )
     setup.add_argument(

@@ -29,6 +29,7 @@ from onboard.commands.imported_flight import (
     optics_of,
     rolling_shutter,
     settings_of,
+    system_of,
 )
 from onboard.replay.photo_telemetry import datum_sigma_m, gap_to_join_s, height_amsl, photo_telemetry
 from onboard.replay.runner import check_overlap
@@ -117,7 +118,7 @@ def _log(
             f"{arguments.folder}: no GPS position with a height in {photos[0].name} and the others, and no log next to "
             "them: give a log of the flight (.bin, .tlog, .ulg, .srt, .csv)"
         )
-    log = read_log(path, home_amsl_m=arguments.home_amsl_m)
+    log = read_log(path, home_amsl_m=arguments.home_amsl_m, system=system_of(settings_of(arguments.set)))
     check_overlap(times.stamps_ns, log)
     return path, log
 

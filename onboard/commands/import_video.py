@@ -24,6 +24,7 @@ from onboard.commands.imported_flight import (
     optics_of,
     rolling_shutter,
     settings_of,
+    system_of,
 )
 from onboard.replay.runner import check_overlap
 from onboard.telemetry.log_files import read_log
@@ -58,7 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
             f"{video}: no log of the flight next to it ({', '.join(LOG_SUFFIXES)}): name one. A DJI drone writes one "
             "with 'Video Subtitles' on"
         )
-    log = read_log(log_path, home_amsl_m=arguments.home_amsl_m)
+    log = read_log(log_path, home_amsl_m=arguments.home_amsl_m, system=system_of(settings))
     times_s = frame_times_s(video)
     if not times_s:
         raise InputError(f"{video}: no time stamps on its frames: give replay --stamps with index,unix_time_s")

@@ -113,6 +113,14 @@ def settings_of(given: Sequence[str]) -> dict[str, str]:
     return out
 
 
+def system_of(settings: dict[str, str]) -> int:
+    """The vehicle's number in a log of several, if it is set; 0 if not."""
+    value = settings.get("telemetry.system", "0")
+    if not value.isdecimal():
+        raise ConfigError(f"--set telemetry.system={value}: is no whole number")
+    return int(value)
+
+
 def config_text(sections: dict[str, dict[str, str]], settings: dict[str, str]) -> str:
     """The configuration file: what was guessed, under what was set."""
     merged = {name: dict(keys) for name, keys in sections.items()}

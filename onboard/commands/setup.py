@@ -45,6 +45,7 @@ BEST_WIDTH_PX = 1280  # the largest picture that a Pi follows at full rate
 SLOW_RATES = {"attitude_rate_hz": 20.0, "position_rate_hz": 5.0}
 NONE_FOUND = "another: rtsp://..., gst:PIPELINE, exec:COMMAND or a device"
 DOCTOR_S = 8.0
+WIRES = ("serial", "udpin", "udpout", "tcp")  # on which MAVLink comes
 SAME_MOUNT_DEG = 30.0  # between the configured mount and the one that was found, which has right angles
 
 
@@ -82,7 +83,7 @@ class Surroundings:
 
     cameras: Callable[[], list[Found]] = v4l2_cameras
     wires: Callable[[], list[str]] = field(default=lambda: list(candidates()))
-    listen: Callable[[str], FoundAutopilot | None] = listen
+    listen: Callable[[str], list[FoundAutopilot]] = listen
     check: Callable[[argparse.Namespace], int] = doctor.run
 
 
@@ -98,13 +99,13 @@ def run(arguments: argparse.Namespace, terminal: Terminal | None = None, around:
         return _finish(config_path, to_toml(_with_found_mount(arguments.first_flight)), left, around)
     camera = _camera(arguments, terminal, around)
     camera_file, text = _camera_file(arguments, terminal, camera, camera_path, left)
-    telemetry = _telemetry(arguments, terminal, around, left)
+    telemetry, system = _telemetry(arguments, terminal, around, left)
     mount = _mount(arguments, terminal, left)
     keys = {
         "vehicle": {"id": arguments.vehicle},
         "mount": dict(zip(("roll_deg", "pitch_deg", "yaw_deg"), mount, strict=True)),
         "camera": {"device": camera.device, "file": str(camera_file)},
-        "telemetry": {"url": telemetry, **(SLOW_RATES if is_slow(telemetry) else {})},
+        "telemetry": {"url": telemetry, "system": system, **(SLOW_RATES if is_slow(telemetry) else {})},
     }
     written = to_toml(_checked(keys))
     if text is not None:
@@ -240,33 +241,61 @@ def _size(arguments: argparse.Namespace, terminal: Terminal | None, camera: Foun
     return terminal.ask("picture size", size_of, "1280x720" if best is None else f"{best[0]}x{best[1]}")
 
 
-def _telemetry(arguments: argparse.Namespace, terminal: Terminal | None, around: Surroundings, left: list[str]) -> str:
-    if arguments.telemetry is not None:
-        return str(arguments.telemetry)
-    autopilots: list[FoundAutopilot] = []
-    for url in around.wires():
-        if not any(url.rpartition(":")[0] == h.url.rpartition(":")[0] for h in autopilots):  # one rate of a port
-            print(f"listening: {url}", flush=True)
-            found = around.listen(url)
-            autopilots += [found] if found is not None else []
+def _telemetry(
+    arguments: argparse.Namespace, terminal: Terminal | None, around: Surroundings, left: list[str]
+) -> tuple[str, int]:
+    """The line, and the vehicle's system number: so that nothing else that comes on it is ever taken for ours."""
+    given = arguments.telemetry
+    is_all_given = given is not None and arguments.system is not None
+    received = [] if is_all_given else _received([given] if given is not None else around.wires(), around)
+    autopilots = [found for found in received if arguments.system in (None, found.system)]
     if len(autopilots) == 1:
         print(f"Autopilot: {autopilots[0].kind}, system {autopilots[0].system}, on {autopilots[0].url}")
-        url = autopilots[0].url
-    elif terminal is not None and autopilots:
+        url, system = autopilots[0].url, autopilots[0].system
+    elif autopilots and terminal is not None:
         terminal.show("Autopilots:")
-        url = autopilots[terminal.choose("which", [f"{h.url}  {h.kind}, system {h.system}" for h in autopilots])].url
-    elif terminal is not None:
-        terminal.show("Autopilot: none found. Is it powered, and MAVLink 2 on its port?")
-        url = terminal.ask("telemetry.url", _not_empty, "udpin:0.0.0.0:14550")
-        left.append(f"nothing was received on {url}: look at the autopilot's port and baud rate (docs/telemetry.md)")
+        chosen = autopilots[terminal.choose("which", [str(found) for found in autopilots])]
+        url, system = chosen.url, chosen.system
+    elif autopilots:
+        named = "; ".join(" ".join(str(found).split()) for found in autopilots)
+        raise ConfigError(f"setup: several autopilots: {named}; name one: --telemetry URL, --system NUMBER")
     else:
-        which = (
-            "no autopilot found" if not autopilots else f"several autopilots: {', '.join(a.url for a in autopilots)}"
-        )
-        raise ConfigError(f"setup: {which}; name its line: --telemetry serial:/dev/ttyAMA0:921600")
+        url, system = _missing(given, terminal), arguments.system or 0
+        if not is_all_given and url.partition(":")[0] in WIRES:
+            _note_missing(url, system, received, left)
     if is_slow(url):
         left.append(f"{url} is slow: attitude is asked for at 20 Hz; 230400 baud or more carry all of it")
-    return url
+    return url, system
+
+
+def _received(urls: list[str], around: Surroundings) -> list[FoundAutopilot]:
+    """All autopilots on these lines; once one is received on a port, or a host, it is not tried in another way."""
+    found: list[FoundAutopilot] = []
+    for url in urls:
+        if url.partition(":")[0] in WIRES and url.rpartition(":")[0] not in {f.url.rpartition(":")[0] for f in found}:
+            print(f"listening: {url}", flush=True)
+            found += around.listen(url)
+    return found
+
+
+def _missing(given: str | None, terminal: Terminal | None) -> str:
+    """The line, where no autopilot was received on any."""
+    if given is not None:
+        return given
+    if terminal is None:
+        raise ConfigError("setup: no autopilot found; name its line: --telemetry serial:/dev/ttyAMA0:921600")
+    terminal.show("Autopilot: none found. Is it powered, and MAVLink 2 on its port?")
+    return terminal.ask("telemetry.url", _not_empty, "udpin:0.0.0.0:14550")
+
+
+def _note_missing(url: str, system: int, received: list[FoundAutopilot], left: list[str]) -> None:
+    others = ", but " + ", ".join(f"{found.system} {found.kind}" for found in received) if received else ""
+    which = f"of system {system} " if system else ""
+    left.append(
+        f"nothing {which}was received on {url}{others}: look at the autopilot's port and baud rate (docs/telemetry.md)"
+    )
+    if not system:
+        left.append("telemetry.system is open: set it to the autopilot's number, so that no other is taken for it")
 
 
 def _mount(arguments: argparse.Namespace, terminal: Terminal | None, left: list[str]) -> tuple[float, float, float]:

@@ -288,7 +288,7 @@ class Telemetry(Section):
     backend: Literal["pymavlink", "mavsdk"] = choice("pymavlink", "library that speaks MAVLink")
     attitude_rate_hz: float = quantity(50.0, 1.0, 400.0, "Hz", "attitude asked of the autopilot, which may give less")
     position_rate_hz: float = quantity(10.0, 1.0, 50.0, "Hz", "position asked of the autopilot, which may give less")
-    system: int = quantity(0, 0, 255, "", "the vehicle's MAVLink system number; 0: the first autopilot received")
+    system: int = quantity(0, 0, 255, "", "the vehicle's MAVLink system number; 0: the only one received, else none")
     component: int = quantity(191, 1, 255, "", "our MAVLink component number in the vehicle's system")
     signing_key: str | None = choice(None, "file with a MAVLink 2 signing key (32 bytes, raw or 64 hex digits)")
     log: str | None = choice(None, "folder for the link's messages as .tlog files; none if not set")

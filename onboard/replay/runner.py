@@ -79,9 +79,8 @@ class Flight:
         if str(telemetry) == EXIF:
             return cls._of_photos(config, camera, frames, stamps, max_rate_hz)
         whole = config.camera.sigma_jitter_s >= WHOLE_SECOND_SIGMA_S
-        log = read_log(
-            telemetry, config.telemetry.clock, home_amsl_m, gps_order, boot_unix_s, config.mount.gimbal_component
-        )
+        line, gimbal = config.telemetry, config.mount.gimbal_component
+        log = read_log(telemetry, line.clock, home_amsl_m, gps_order, boot_unix_s, gimbal, line.system)
         latency_s, in_colour = config.camera.latency_s, config.recording.pictures == "jpeg"
         source = open_frames(
             frames, camera, stamps, latency_s, whole, log.video_epoch_ns, max_rate_hz, in_colour, config.thermal.enabled

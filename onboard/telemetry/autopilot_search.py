@@ -7,19 +7,17 @@ from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from onboard.telemetry.mavlink_events import AUTOPILOT_COMPONENT
 from onboard.telemetry.mavlink_framing import Framer, SequenceGaps
 from onboard.telemetry.transports import Address
+from onboard.telemetry.vehicle_choice import LISTEN_NS, is_autopilot, kind_of
 
 BAUDS = (921600, 115200, 57600, 460800, 230400)  # autopilots' companion and telemetry ports, the likelier first
 UDP = ("udpin:0.0.0.0:14550", "udpin:0.0.0.0:14540")
-LISTEN_S = 2.2  # two heartbeats
+LISTEN_S = LISTEN_NS / 1e9
 SLOW_BAUD = 200_000  # below which a serial line cannot carry all that is asked for by default
-KINDS = {mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: "ArduPilot", mavlink.MAV_AUTOPILOT_PX4: "PX4"}
 
 
 @dataclass(frozen=True)
@@ -29,6 +27,9 @@ class FoundAutopilot:
     url: str
     kind: str
     system: int
+
+    def __str__(self) -> str:
+        return f"{self.url}  system {self.system}, {self.kind}"
 
 
 def candidates(dev: Path = Path("/dev")) -> Iterator[str]:
@@ -43,25 +44,21 @@ def candidates(dev: Path = Path("/dev")) -> Iterator[str]:
             yield f"serial:{port}:{baud}"
 
 
-def listen(url: str, seconds: float = LISTEN_S, now_s: Callable[[], float] = time.monotonic) -> FoundAutopilot | None:
-    """The autopilot whose heartbeat comes within some seconds; None if none does, or the wire cannot be opened."""
+def listen(url: str, seconds: float = LISTEN_S, now_s: Callable[[], float] = time.monotonic) -> list[FoundAutopilot]:
+    """The autopilots on a wire, by number: all received within some seconds, or soon after the first."""
     framer, ends_s = Framer(mavlink.MAVLink(None), SequenceGaps()), now_s() + seconds
+    found: dict[int, FoundAutopilot] = {}
     try:
         with closing(Address.parse(url).open()) as wire:
             while (left_s := ends_s - now_s()) > 0.0:
                 for message in framer.feed(wire.read(min(left_s, 0.1))):
-                    if _is_autopilot(message):
-                        return FoundAutopilot(
-                            url, KINDS.get(message.autopilot, "autopilot"), int(message.get_srcSystem())
-                        )
+                    if is_autopilot(message):
+                        ends_s = ends_s if found else now_s() + LISTEN_S
+                        system = int(message.get_srcSystem())
+                        found[system] = FoundAutopilot(url, kind_of(message), system)
     except OSError:
-        return None
-    return None
-
-
-def _is_autopilot(message: Any) -> bool:
-    is_heartbeat = message.get_type() == "HEARTBEAT" and message.get_srcComponent() == AUTOPILOT_COMPONENT
-    return bool(is_heartbeat and message.autopilot != mavlink.MAV_AUTOPILOT_INVALID)
+        return []
+    return [found[system] for system in sorted(found)]
 
 
 def is_slow(url: str) -> bool:

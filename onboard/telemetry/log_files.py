@@ -30,10 +30,12 @@ def read_log(
     gps_order: Order | None = None,
     boot_unix_s: float | None = None,
     gimbal: int = 0,
+    system: int = 0,
 ) -> TelemetryLog:
     """Read a whole log. `clock` maps boot time (.tlog, .bin, .ulg); `home_amsl_m` is the take-off's height above sea
     level, for a log that only holds heights above it (.srt); `gps_order` which number of its `GPS(a, b)` is the
-    latitude; `boot_unix_s` Unix time at the boot, for a .ulg that has none; `gimbal` as `mount.gimbal_component`.
+    latitude; `boot_unix_s` Unix time at the boot, for a .ulg that has none; `gimbal` as `mount.gimbal_component`,
+    `system` as `telemetry.system`, of a .tlog.
 
     Raises InputError, one line, for a file that is missing, empty, of no known kind, damaged or without positions.
     """
@@ -51,7 +53,7 @@ def read_log(
     if _is_text(head):
         raise InputError(f"telemetry {path}: text of no known kind; known are {KINDS}. A table needs a header line")
     try:
-        return read_tlog(path, clock, gimbal)
+        return read_tlog(path, clock, gimbal, system)
     except InputError as error:
         if "not a MAVLink telemetry log" in str(error):
             raise InputError(f"telemetry {path}: not a log of a known kind; known are {KINDS}") from error

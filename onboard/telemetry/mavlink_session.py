@@ -1,7 +1,6 @@
 """One autopilot: messages in, events out, and messages to be sent. No link, no thread, no clock.
 
-The vehicle is the one the configuration names, else the first whose autopilot is received, and it stays that one: what
-others send on the same line is never taken for it.
+The vehicle is the one that `vehicle_choice` gives: what others send on the same line is never taken for it.
 """
 
 from __future__ import annotations
@@ -18,6 +17,7 @@ from onboard.telemetry.gimbal_senders import Gimbals, is_of_payload
 from onboard.telemetry.mavlink_events import AUTOPILOT_COMPONENT, MessageToEvent, Sources, boot_ns_of
 from onboard.telemetry.message_rates import RateRequests
 from onboard.telemetry.timesync import LinkClock
+from onboard.telemetry.vehicle_choice import VehicleChoice, is_autopilot
 
 NS_PER_S = 1_000_000_000
 BEAT_NS = NS_PER_S
@@ -39,12 +39,11 @@ class Autopilot:
 
     def __init__(self, config: Config) -> None:
         self.config = config.telemetry
-        self.system: int | None = config.telemetry.system or None
+        self.choice = VehicleChoice(config.telemetry.system)
         self.clock = LinkClock(config.telemetry.clock)
         self.rates = RateRequests(config)
         self.gimbals = Gimbals(config.telemetry.clock, config.mount.gimbal_component)
         self.reboots = 0
-        self.others: set[int] = set()  # other vehicles on the line
         self._converter = MessageToEvent(Sources())
         self._seen: Counter[str] = Counter()  # since the autopilot's boot
         self._first_ns: int | None = None
@@ -60,6 +59,11 @@ class Autopilot:
         self._text_number = 0
         self._kind = int(mavlink.MAV_AUTOPILOT_INVALID)  # of autopilot; not known yet
 
+    @property
+    def system(self) -> int | None:
+        """The vehicle's system number; None while it is open which vehicle is ours."""
+        return self.choice.system
+
     # --- in ---
 
     def receive(self, message: Any, arrival_ns: int) -> list[NavEvent]:
@@ -69,11 +73,9 @@ class Autopilot:
             return [*self.gimbals.receive(message, arrival_ns)] if system == self.system else []
         if component != AUTOPILOT_COMPONENT:
             return []
-        if name == "HEARTBEAT" and message.autopilot != mavlink.MAV_AUTOPILOT_INVALID:
-            if self.system is None:
-                self.system = system
-            elif system != self.system:
-                self.others.add(system)
+        if is_autopilot(message):
+            self.choice.heartbeat(message, arrival_ns)
+        self.choice.look(arrival_ns)
         if system != self.system:
             return []
         self._note(message, arrival_ns)
@@ -155,6 +157,7 @@ class Autopilot:
 
     def due(self, now_ns: int, speaks_first: bool = False) -> list[Any]:
         """What is to be sent now. `speaks_first`: the other end answers only senders it has received from."""
+        self.choice.look(now_ns)
         if self.system is None and not speaks_first:
             return []
         out: list[Any] = []
@@ -220,24 +223,24 @@ class Autopilot:
         received_ns, position_ns = self._received_ns, self._position_ns
         limit_ns = self.config.lost_after_s * 1e9
         if received_ns is None:
-            whose = "no autopilot" if self.system is None else f"no autopilot with system number {self.system}"
-            return SourceStatus(State.STARTING, f"{whose} found yet", figures)
+            state = State.LOST if self.choice.is_refused else State.STARTING
+            return SourceStatus(state, self.choice.refusal(now_ns), figures)
         silent_ns = now_ns - received_ns
         if silent_ns > limit_ns:
-            return SourceStatus(State.LOST, f"the autopilot is silent for {silent_ns / 1e9:.0f} s", figures)
+            silent = f"the autopilot is silent for {silent_ns / 1e9:.0f} s{self.choice.instead(now_ns)}"
+            return SourceStatus(State.LOST, silent, figures)
         if now_ns - self._boot_moved_ns > limit_ns and self._boot_moved_ns:
             return SourceStatus(State.FROZEN, "the autopilot's clock stands still", figures)
         if position_ns is None:
             return SourceStatus(State.STARTING, "the autopilot gives no position yet", figures)
         if now_ns - position_ns > limit_ns:
             return SourceStatus(State.LOST, f"no position for {(now_ns - position_ns) / 1e9:.0f} s", figures)
-        complaint = self._complaint() or self.gimbals.complaint(now_ns, self.config.lost_after_s)
+        complaint = (
+            self.choice.doubt(now_ns) or self._complaint() or self.gimbals.complaint(now_ns, self.config.lost_after_s)
+        )
         return SourceStatus(State.DEGRADED if complaint else State.OK, complaint, figures)
 
     def _complaint(self) -> str:
-        if self.others and not self.config.system:
-            names = ", ".join(str(system) for system in sorted({self.system or 0, *self.others}))
-            return f"several vehicles on this line ({names}): set telemetry.system"
         sigma_ms = self.clock.figures().get("clock_sigma_ms")
         sigma = "" if sigma_ms is None else f", +-{sigma_ms:.0f} ms"
         if self.clock.disagrees:

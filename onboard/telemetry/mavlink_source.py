@@ -24,13 +24,14 @@ from onboard.telemetry.transports import Address, Wire
 READ_S = 0.02
 REOPEN_S = 0.5
 HUNG_NS = 10_000_000_000  # of silence on a wire that may be dead without an error
+USUAL_SYSTEM = 1  # of a vehicle, where we must speak before one is received
 GARBAGE = 2000  # bytes without a packet among them before that is reported
 
 
 class End(Protocol):
     """Our end of a wire, as a MAVLink library makes it."""
 
-    system: int  # which we send as
+    system: int | None  # the vehicle's, which we send as; None while none is ours
 
     def attach(self, wire: Wire) -> None:
         """Send over this wire from now on."""
@@ -55,8 +56,8 @@ class PymavlinkEnd:
     """Packs, checks and decodes with pymavlink; signs if there is a key."""
 
     def __init__(self, config: Config, key: bytes | None = None) -> None:
-        self.system = config.telemetry.system or 1
-        self._mav = mavlink.MAVLink(None, srcSystem=self.system, srcComponent=config.telemetry.component)
+        self.system = config.telemetry.system or None
+        self._mav = mavlink.MAVLink(None, srcComponent=config.telemetry.component)
         self._is_signing = key is not None
         if key is not None:
             sign(self._mav, key)
@@ -82,7 +83,7 @@ class PymavlinkEnd:
         """Pack and write at once."""
         if self._is_signing:
             keep_time(self._mav)
-        self._mav.srcSystem = self.system
+        self._mav.srcSystem = self.system or USUAL_SYSTEM
         packet = message.pack(self._mav)
         self._mav.seq = (self._mav.seq + 1) % 256
         if self._wire is not None:
@@ -173,6 +174,7 @@ class LiveTelemetry:
             for arrival_ns, message in end.take(data, now_ns):
                 if message.get_srcSystem() == autopilot.system:
                     wire.confirm()
+                if autopilot.system in (None, message.get_srcSystem()):
                     received_ns = now_ns
                 if self._log is not None:
                     self._log.write(arrival_ns, bytes(message.get_msgbuf()))
@@ -180,7 +182,7 @@ class LiveTelemetry:
                     emit(arrival_ns, event)
                 if self._passage is not None:
                     self._passage.receive(message, autopilot.system)
-            end.system = autopilot.system or end.system
+            end.system = autopilot.system
             for message in autopilot.due(clock.now_ns(), wire.speaks_first or self._is_signed):
                 end.send(message)
             if self._passage is not None and autopilot.system is not None:

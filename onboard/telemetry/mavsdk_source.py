@@ -19,9 +19,10 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from onboard.config.schema import Config
 from onboard.events.session_clock import SessionClock
-from onboard.telemetry.mavlink_events import AUTOPILOT_COMPONENT, WANTED
+from onboard.telemetry.mavlink_events import WANTED
 from onboard.telemetry.mavlink_framing import Framer
 from onboard.telemetry.transports import Wire
+from onboard.telemetry.vehicle_choice import is_autopilot
 
 NAMES = sorted(
     mavlink.mavlink_map[number].msgname
@@ -37,11 +38,13 @@ MAX_WAITING = 5000
 
 
 class MavsdkEnd:
-    """mavsdk takes its system number when it is made, and ours is the vehicle's: it is made at the first heartbeat."""
+    """mavsdk takes its system number when it is made, and ours is the vehicle's: it is made at its first heartbeat.
+
+    Before that only heartbeats are handed on, by which the vehicle is chosen.
+    """
 
     def __init__(self, config: Config, clock: SessionClock) -> None:
-        self.system = config.telemetry.system or 1
-        self._wanted_system = config.telemetry.system
+        self.system = config.telemetry.system or None
         self._component = config.telemetry.component
         self._clock = clock
         self._finder = Framer(mavlink.MAVLink(None))
@@ -64,9 +67,10 @@ class MavsdkEnd:
         if self._broken is not None:
             raise self._broken
         if self._mavsdk is None:
-            beat = self._heartbeat_in(data)
+            beats = [message for message in self._finder.feed(data) if is_autopilot(message)]
+            beat = next((beat for beat in beats if beat.get_srcSystem() == self.system), None)
             if beat is None:
-                return []
+                return [(now_ns, beat) for beat in beats]
             self._begin(int(beat.get_srcSystem()), beat.autopilot == mavlink.MAV_AUTOPILOT_PX4)
         if data:
             self._mavsdk.pass_received_raw_bytes(data)
@@ -80,7 +84,7 @@ class MavsdkEnd:
         if self._direct is None or name == "HEARTBEAT":
             # The other end may send only to an address it has received from.
             if self._mavsdk is None and self._wire is not None:
-                self._wire.write(bytes(message.pack(mavlink.MAVLink(None, self.system, self._component))))
+                self._wire.write(bytes(message.pack(mavlink.MAVLink(None, self.system or 1, self._component))))
             return
         fields = {field: _to_json(getattr(message, field)) for field in message.fieldnames}
         target = int(fields.get("target_system", 0)), int(fields.get("target_component", 0))
@@ -110,16 +114,6 @@ class MavsdkEnd:
             self._wire = None
         if self._mavsdk is not None:
             self._mavsdk.destroy()
-
-    def _heartbeat_in(self, data: bytes) -> Any | None:
-        """The first heartbeat of an autopilot that may be ours."""
-        for message in self._finder.feed(data):
-            if message.get_type() != "HEARTBEAT" or message.get_srcComponent() != AUTOPILOT_COMPONENT:
-                continue
-            system = int(message.get_srcSystem())
-            if message.autopilot != mavlink.MAV_AUTOPILOT_INVALID and self._wanted_system in (0, system):
-                return message
-        return None
 
     def _begin(self, system: int, is_px4: bool) -> None:
         if is_px4:  # of the type "generic": PX4 would miss a companion computer that leaves (`mavlink_session`)

@@ -20,18 +20,14 @@ class PlayedTelemetry:
         self._clock = clock
         self._path = path
         self._autopilot = Autopilot(config)
+        self._chosen = config.telemetry.system
         self._is_over = False
 
     def run(self, emit: Emit, stop: Stop) -> None:
-        """Raises InputError, one line, for a file that is no log."""
-        messages, system = log_messages(self._path)
+        """Raises InputError, one line, for a file that is no log, or of other vehicles."""
+        messages, self._autopilot.choice.system = log_messages(self._path, self._chosen)
         if not messages:
             raise InputError(f"telemetry {self._path}: nothing of an autopilot in it")
-        if self._autopilot.system not in (None, system):
-            raise InputError(
-                f"telemetry {self._path}: no messages of system {self._autopilot.system} (but of {system})"
-            )
-        self._autopilot.system = system
         shift_ns = self._clock.now_ns() - messages[0][0]
         for logged_ns, message in messages:
             due_ns = logged_ns + shift_ns

@@ -32,19 +32,21 @@ from onboard.telemetry.mavlink_events import (
     boot_ns_of,
 )
 from onboard.telemetry.telemetry_log import TelemetryLog
+from onboard.telemetry.vehicle_choice import KEY, is_autopilot, kind_of
 
 REPORTS = {*GIMBAL_EVENTS, *ZOOM_EVENTS}  # by gimbals and cameras for themselves
 FAR_NS = 5_000_000_000
+IN_PASSING = 0.1  # of the most heartbeats that a vehicle has: another with fewer was met
 
 
-def read_tlog(path: Path | str, clock: Mode = "auto", gimbal: int = 0) -> TelemetryLog:
+def read_tlog(path: Path | str, clock: Mode = "auto", gimbal: int = 0, chosen: int = 0) -> TelemetryLog:
     """Read a whole telemetry log, every event stamped on the log's clock by its sender's least-delayed messages.
 
-    Only the autopilot's component of the system with most of its heartbeats is read, and that system's gimbals and
-    cameras; of several gimbals, or where `gimbal` is not 0, one (`gimbal_senders`). Damaged stretches and a cut end are
-    passed over. Raises InputError, one line, for a file that is missing, empty, not a log, or without positions.
+    Only the autopilot's component of one system is read, as in `log_messages`, and that system's gimbals and cameras;
+    of several gimbals, or where `gimbal` is not 0, one (`gimbal_senders`). Damaged stretches and a cut end are passed
+    over. Raises InputError, one line, for a file that is missing, empty, not a log, or without positions.
     """
-    messages, system = log_messages(path)
+    messages, system = log_messages(path, chosen)
     own = [(t, m) for t, m in messages if m.get_srcComponent() == AUTOPILOT_COMPONENT]
     sources = Sources.by_counts(Counter(message.get_type() for _, message in own))
     found, segments = _events(own, sources, clock)
@@ -80,11 +82,12 @@ def _events(own: list[tuple[int, Any]], sources: Sources, clock: Mode) -> tuple[
     return out, boot_clock.segments
 
 
-def log_messages(path: Path | str) -> tuple[list[tuple[int, Any]], int]:
+def log_messages(path: Path | str, chosen: int = 0) -> tuple[list[tuple[int, Any]], int]:
     """(arrival ns, message) of a log's autopilot and its gimbals, in order, and its system number.
 
-    The system with most autopilot heartbeats is read. Raises InputError, one line, for a file that is missing, empty or
-    not a log.
+    That is `chosen`, else (0) the only one whose autopilot is in it for longer than in passing. Raises InputError, one
+    line, for a file that is missing, empty or not a log, for several vehicles of which none is chosen, and where the
+    chosen one is not among them.
     """
     try:
         data = Path(path).read_bytes()
@@ -97,7 +100,7 @@ def log_messages(path: Path | str) -> tuple[list[tuple[int, Any]], int]:
         raise InputError(
             f"telemetry {path}: not a MAVLink telemetry log (.tlog): no packet of an autopilot found in it"
         )
-    system = _autopilot_system(messages)
+    system = _autopilot_system(path, messages, chosen)
     speakers = PAYLOADS | {AUTOPILOT_COMPONENT}
     own = [(t, m) for t, m in messages if m.get_srcSystem() == system and m.get_srcComponent() in speakers]
     return own, system
@@ -113,16 +116,23 @@ def _without_stray_stamps(messages: list[tuple[int, Any]]) -> list[tuple[int, An
     return [message for message, kept in zip(messages, keep, strict=True) if kept]
 
 
-def _autopilot_system(messages: list[tuple[int, Any]]) -> int:
-    """The system whose autopilot sends most, of those with a heartbeat if any has one: others share the same line."""
+def _autopilot_system(path: Path | str, messages: list[tuple[int, Any]], chosen: int) -> int:
+    """The system that is read: of those whose autopilots have a heartbeat if any has one."""
     autopilots = [m for _, m in messages if m.get_srcComponent() == AUTOPILOT_COMPONENT]
-    beating = {
-        m.get_srcSystem()
-        for m in autopilots
-        if m.get_type() == "HEARTBEAT" and m.autopilot != mavlink.MAV_AUTOPILOT_INVALID
-    }
-    counts = Counter(m.get_srcSystem() for m in autopilots or [m for _, m in messages])
-    return int(max(counts, key=lambda system: (system in beating, counts[system])))
+    beats = [m for m in autopilots if is_autopilot(m)]
+    counts = Counter(m.get_srcSystem() for m in beats or autopilots or [m for _, m in messages])
+    if chosen:
+        if chosen not in counts:
+            there = ", ".join(map(str, sorted(counts)))
+            raise InputError(f"telemetry {path}: no messages of system {chosen} (but of {there})")
+        return chosen
+    most = max(counts, key=lambda system: counts[system])
+    rivals = sorted(system for system in counts if counts[system] > IN_PASSING * counts[most])
+    if len(rivals) > 1 and beats:
+        kinds = {m.get_srcSystem(): kind_of(m) for m in beats}
+        names = ", ".join(f"{system} {kinds[system]}" for system in rivals)
+        raise InputError(f"telemetry {path}: several vehicles in it ({names}): {KEY}")
+    return int(most)
 
 
 def _decoded(data: bytes) -> Iterator[tuple[int, Any]]:

@@ -38,13 +38,13 @@ class Around:
     def __init__(self, cameras: list[Found], received: list[FoundAutopilot]) -> None:
         self.listened: list[str] = []
         self.checked: list[Path] = []
-        self.received = {h.url: h for h in received}
-        urls = ["udpin:0.0.0.0:14550", *(h.url for h in received), "serial:/dev/ttyAMA0:115200"]
+        self.received = received
+        urls = ["udpin:0.0.0.0:14550", *{h.url: 0 for h in received}, "serial:/dev/ttyAMA0:115200"]
         self.around = Surroundings(lambda: cameras, lambda: urls, self.listen, self.check)
 
-    def listen(self, url: str) -> FoundAutopilot | None:
+    def listen(self, url: str) -> list[FoundAutopilot]:
         self.listened.append(url)
-        return self.received.get(url)
+        return [found for found in self.received if found.url == url]
 
     def check(self, arguments: argparse.Namespace) -> int:
         self.checked.append(arguments.config)
@@ -81,7 +81,7 @@ def test_where_everything_is_found_nothing_is_asked(out: Path, capsys: pytest.Ca
     assert setup.run(arguments(out, "--yes"), None, around.around) == 0
     config = load_config_files(out)
     camera = Camera.from_json(out.with_name("camera.json"))
-    assert (config.camera.device, config.telemetry.url) == (WEBCAM.device, SERIAL.url)
+    assert (config.camera.device, config.telemetry.url, config.telemetry.system) == (WEBCAM.device, SERIAL.url, 1)
     assert config.camera.file == str(out.with_name("camera.json").resolve())
     assert (config.mount.roll_deg, config.mount.pitch_deg, config.mount.yaw_deg) == (0.0, -90.0, 0.0)
     assert camera.size_px == (1280, 720) and camera.sigma[0] == pytest.approx(0.05)
@@ -98,10 +98,14 @@ def test_flags_alone_say_everything_and_nothing_is_looked_for(out: Path, tmp_pat
     lens.write_text(Camera.from_field_of_view(640, 480, 50.0).to_json())
     around = Around([], [])
     words = ["--yes", "--camera", "rtsp://me:secret@10.0.0.2/live", "--camera-file", str(lens), "--mount", "0,-45,90"]
-    words += ["--telemetry", "serial:/dev/ttyS1:57600", "--vehicle", "kea"]
+    words += ["--telemetry", "serial:/dev/ttyS1:57600", "--system", "4", "--vehicle", "kea"]
     assert setup.run(arguments(out, *words), None, around.around) == 0
     config = load_config_files(out)
-    assert config.vehicle.id == "kea" and config.camera.device == "rtsp://me:secret@10.0.0.2/live"
+    assert (
+        config.vehicle.id == "kea"
+        and config.telemetry.system == 4
+        and config.camera.device == "rtsp://me:secret@10.0.0.2/live"
+    )
     assert config.camera.file == str(lens.resolve()) and not out.with_name("camera.json").exists()
     assert (config.mount.pitch_deg, config.mount.yaw_deg) == (-45.0, 90.0)
     assert (config.telemetry.attitude_rate_hz, config.telemetry.position_rate_hz) == (20.0, 5.0)
@@ -115,7 +119,7 @@ def test_what_is_several_is_asked_and_wrong_answers_are_asked_again(out: Path) -
     assert setup.run(arguments(out), typed.terminal, around.around) == 0
     # 7, one: no such camera; wide, 1e9: no size; 200: no field of view; 3: no such autopilot.
     config, camera = load_config_files(out), Camera.from_json(out.with_name("camera.json"))
-    assert config.camera.device == BARE.device and config.telemetry.url == SLOW.url
+    assert config.camera.device == BARE.device and (config.telemetry.url, config.telemetry.system) == (SLOW.url, 3)
     assert camera.size_px == (640, 480) and camera.sigma[0] == pytest.approx(0.1)
     assert 2.0 * math.degrees(math.atan(320 / camera.fx_px)) == pytest.approx(80.0)
     assert config.mount.pitch_deg == -90.0
@@ -142,7 +146,30 @@ def test_without_camera_and_autopilot_a_person_may_name_them(out: Path, capsys: 
     assert (config.camera.device, config.telemetry.url) == ("gst:videotestsrc", "udpin:0.0.0.0:14550")
     assert config.mount.pitch_deg == -45.0
     assert "  it cannot be empty" in typed.shown
-    assert "nothing was received on udpin:0.0.0.0:14550" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "nothing was received on udpin:0.0.0.0:14550" in printed and "telemetry.system is open" in printed
+
+
+SECOND = FoundAutopilot(SERIAL.url, "ArduPilot quadrotor", 7)
+
+
+def test_the_line_that_is_given_is_listened_to_for_the_vehicle_s_number(out: Path) -> None:
+    words = ["--yes", "--telemetry", SERIAL.url]
+    assert setup.run(arguments(out, *words), None, Around([WEBCAM], [SERIAL]).around) == 0
+    assert load_config_files(out).telemetry.system == 1
+    around = Around([WEBCAM], [SERIAL, SECOND])
+    assert setup.run(arguments(out, *words, "--force", "--system", "7"), None, around.around) == 0
+    assert load_config_files(out).telemetry.system == 7 and not around.listened
+    assert setup.run(arguments(out, "--yes", "--force", "--system", "7"), None, around.around) == 0
+    assert (load_config_files(out).telemetry.url, load_config_files(out).telemetry.system) == (SERIAL.url, 7)
+
+
+def test_two_vehicles_on_one_line_are_a_question(out: Path) -> None:
+    around = Around([WEBCAM], [SERIAL, SECOND])
+    with pytest.raises(ConfigError, match=r"system 1, ArduPilot; .* system 7, .* quadrotor; .* --system NUMBER"):
+        setup.run(arguments(out, "--yes"), None, around.around)
+    assert setup.run(arguments(out), Typed("", "", "2", "").terminal, around.around) == 0
+    assert load_config_files(out).telemetry.system == 7
 
 
 @pytest.mark.parametrize(
@@ -264,17 +291,17 @@ def test_serial_ports_are_tried_under_their_persistent_names(tmp_path: Path) -> 
 
 
 @pytest.mark.wall_clock
-@pytest.mark.parametrize(("style", "kind"), [("ardupilot", "ArduPilot"), ("px4", "PX4")])
+@pytest.mark.parametrize(("style", "kind"), [("ardupilot", "ArduPilot fixed wing"), ("px4", "PX4 fixed wing")])
 def test_an_autopilot_is_found_on_a_serial_line_by_its_heartbeat(style: str, kind: str) -> None:
     with FakeAutopilot(FLIGHT, "pty", style=style, system=7) as autopilot:
-        assert listen(autopilot.url, 60.0) == FoundAutopilot(autopilot.url, kind, 7)
+        assert listen(autopilot.url, 60.0) == [FoundAutopilot(autopilot.url, kind, 7)]
 
 
 def test_silence_others_and_a_wire_that_is_not_there_are_none(tmp_path: Path) -> None:
-    assert listen(f"serial:{tmp_path / 'none'}:57600", 0.1) is None
+    assert listen(f"serial:{tmp_path / 'none'}:57600", 0.1) == []
     port = free_udp_port()
     gcs = mavlink.MAVLink_heartbeat_message(6, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         for _ in range(3):
             sender.sendto(gcs.pack(mavlink.MAVLink(None, 255, 190)), ("127.0.0.1", port))
-        assert listen(f"udpin:127.0.0.1:{port}", 0.3) is None
+        assert listen(f"udpin:127.0.0.1:{port}", 0.3) == []

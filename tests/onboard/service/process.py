@@ -169,7 +169,8 @@ def aircraft(where: Path, spec: SessionSpec, config: str = "", style: str = "ard
             (folder / "config.toml").read_text()
             + f'\n[camera]\ndevice = "replay:{where / "frames"}"\nfile = "{where / "camera.json"}"\n'
             + f"rate_hz = {spec.rate_hz}\n"
-            + f'\n[telemetry]\nurl = "{autopilot.url}"\n\n[link]\nlisten = ["{endpoint}"]\nmax_bit_rate = 1e7\n'
+            + f'\n[telemetry]\nurl = "{autopilot.url}"\nsystem = {autopilot.system}\n'
+            + f'\n[link]\nlisten = ["{endpoint}"]\nmax_bit_rate = 1e7\n'
             + f'\n[service]\nstate_dir = "{where / "state"}"\n\n[recording]\nkeep_free_mb = 1\n{config}'
         )
         plane = Aircraft(where, folder, endpoint, autopilot, first_s + shift_s, shift_s)

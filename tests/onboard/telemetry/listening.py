@@ -26,8 +26,9 @@ FLIGHT = Flight.read(TLOG)
 
 
 def config_for(url: str, **keys: object) -> Config:
-    """A configuration with these keys of [telemetry]; silence is noticed soon, to save the tests' time."""
-    keys = {"url": url, "lost_after_s": 0.6, **keys}
+    """A configuration with these keys of [telemetry]; to save the tests' time silence is noticed soon, and the vehicle
+    is chosen by its number."""
+    keys = {"url": url, "lost_after_s": 0.6, "system": FLIGHT.system, **keys}
     text = [f"{key} = {str(value).lower() if isinstance(value, bool) else repr(value)}" for key, value in keys.items()]
     return parse_config("[telemetry]\n" + "\n".join(text))
 

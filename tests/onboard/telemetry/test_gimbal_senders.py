@@ -32,7 +32,7 @@ class Line:
     """An autopilot with an ATTITUDE and a position ten times a second, and gimbals next to it, in virtual time."""
 
     def __init__(self, config: str = "") -> None:
-        self.autopilot = Autopilot(parse_config(config))
+        self.autopilot = Autopilot(parse_config(f"[telemetry]\nsystem = 1\n{config}"))
         self.now_s = 0.0
 
     def receive(self, message: Any, component: int = 154, late_s: float = 0.004) -> list[Any]:

@@ -21,7 +21,7 @@ class Simulated:
     """An autopilot on a clock of its own that sends, grants and answers at once, and what is said to it."""
 
     def __init__(self, kind: int = PX4, rate: float = 0.0, changes: bool = False) -> None:
-        self.autopilot, self.kind = Autopilot(parse_config("")), kind
+        self.autopilot, self.kind = Autopilot(parse_config("[telemetry]\nsystem = 1")), kind
         self.clocks = Clocks(rate, changes)
         self.tick = 0
         self.sent: list[Any] = []

@@ -17,7 +17,7 @@ from onboard.telemetry.mavsdk_source import MavsdkEnd
 faulthandler.enable()
 BEAT = mavlink.MAVLink_heartbeat_message(1, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, 0, 0, 4, 3)
 BEAT = BEAT.pack(mavlink.MAVLink(None, 1, 1))
-config, clock, made = parse_config(""), SessionClock.start(), []
+config, clock, made = parse_config("[telemetry]\\nsystem = 1"), SessionClock.start(), []
 
 def come_and_go():
     begun = time.monotonic()
