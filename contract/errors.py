@@ -7,7 +7,8 @@ PointclickError
 └── WireError              a payload is not a feature set this version can read
     ├── CorruptPayload     checksum or content is inconsistent
     ├── TruncatedPayload   shorter than its own header states
-    └── NewerPayload       written by a newer, incompatible version
+    ├── NewerPayload       written by a newer, incompatible version
+    └── ForeignMessage     it names another vehicle than the key on which it came
 
 Expected geometric failure (too little parallax, a click at the sky) is a value, a `Status`, never an exception.
 """
@@ -45,3 +46,7 @@ class TruncatedPayload(WireError):
 
 class NewerPayload(WireError):
     """Written by a newer, incompatible version."""
+
+
+class ForeignMessage(WireError):
+    """Its content names another vehicle than the key, or the radio's system, on which it came."""

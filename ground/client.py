@@ -13,7 +13,7 @@ from typing import Any
 import zenoh
 
 from contract.answer import EXPLANATIONS, Refusal
-from contract.errors import LinkError, WireError
+from contract.errors import ForeignMessage, LinkError, WireError
 from contract.feature_set import FeatureSet, Status
 from contract.history import Entry, History
 from contract.link_config import Tls, link_config
@@ -28,9 +28,11 @@ from contract.topics import (
     WAIT_PARAMETER,
 )
 from contract.wire.codec import decode
+from contract.wire.message import read_set
+from ground.dropped_messages import DroppedMessages
 from ground.freshness import AircraftClock, Later, Reply
 from ground.mavlink_endpoint import SCHEME, MavlinkEndpoint
-from ground.mavlink_sets import MavlinkSets
+from ground.mavlink_sets import MavlinkSets, RadioSystems
 from ground.presence import is_through_router, vehicles_there
 from ground.watched_thread import WatchedThread
 
@@ -39,6 +41,7 @@ PICTURE_TIMEOUT_S = 8.0  # of a picture asked for by its number or its time, whi
 # for which a coordinator waits.
 RENEW_S = 8.0
 RENEWAL_PERIOD_S = 0.5
+MOST_REFUSING = 256  # vehicles that refuse one question to all: a peer may invent names
 FIRST_RETRY_S = 1.0  # after a renewal that failed; twice as long each time, at most RENEW_S
 
 
@@ -50,6 +53,7 @@ def inquire(
     unix_s: float | None = None,
     tls: Tls | None = None,
     is_sole: bool = False,
+    dropped: DroppedMessages | None = None,
 ) -> dict[str, Reply]:
     """What each vehicle at an endpoint answers: its set of a frame or a time, or its newest one, or a refusal.
 
@@ -58,6 +62,7 @@ def inquire(
     asked, and the time that the question took from here and back.
 
     `is_sole`: an answer of one aircraft is wanted. Where a router knows of several, none of them is asked for nothing.
+    `dropped` counts answers that name another vehicle than the one under whose key they came.
 
     A client session: it opens in milliseconds where a peer waits half a second for others to show up. Raises LinkError
     if there is no vehicle or none answers, WireError for a set this version cannot read.
@@ -67,6 +72,7 @@ def inquire(
         which = f"{FRAME_PARAMETER}={frame}" if frame is not None else f"{TIME_PARAMETER}={unix_s!r}"
         parameters, timeout_s = f"?{which};{WAIT_PARAMETER}={PICTURE_TIMEOUT_S:g}", PICTURE_TIMEOUT_S
     key = FEATURES.key(vehicle)
+    dropped = dropped or DroppedMessages()
     if endpoint.startswith(SCHEME):
         raise LinkError("single pictures cannot be asked for through the autopilot's radio; it answers pc-ground click")
     session = open_link("client", endpoint, tls)
@@ -78,12 +84,12 @@ def inquire(
             and len(there := vehicles_there(session)) > 1
         ):
             raise several_aircraft(endpoint, there)
-        answers = _replies(session, key + parameters, timeout_s)
+        answers = _replies(session, vehicle, parameters, dropped, timeout_s)
     finally:
         session.close()
     if not answers:
         who = "no aircraft answers" if vehicle == ANY_VEHICLE else f"aircraft {vehicle!r} does not answer"
-        raise LinkError(f"{who} at {endpoint} (asked for {key})")
+        raise LinkError("; ".join([f"{who} at {endpoint} (asked for {key})", *dropped.lines()]))
     return answers
 
 
@@ -105,16 +111,39 @@ def several_aircraft(endpoint: str, there: Sequence[str]) -> LinkError:
     return LinkError(f"several aircraft are at {endpoint}: {', '.join(there)}; choose one with --vehicle")
 
 
-def _replies(session: Any, selector: str, timeout_s: float = ANSWER_TIMEOUT_S) -> dict[str, Reply]:
-    """Each vehicle's answer to a question; its age includes the time that the question took. Raises WireError."""
+def _replies(
+    session: Any, vehicle: str, parameters: str, dropped: DroppedMessages, timeout_s: float = ANSWER_TIMEOUT_S
+) -> dict[str, Reply]:
+    """Each vehicle's answer to a question; its age includes the time that the question took. Raises WireError.
+
+    A set is accepted by the key under which it came. A refusal comes without one: where all were asked, whom it names
+    is asked by its own key, which only that vehicle can answer.
+    """
     answers: dict[str, Reply] = {}
+    refusing: dict[str, None] = {}
     asked_s = time.monotonic()
     to_all = {"target": zenoh.QueryTarget.ALL, "consolidation": zenoh.ConsolidationMode.NONE}
-    for reply in put_question(session, selector, timeout_s, **to_all):
+    for reply in put_question(session, FEATURES.key(vehicle) + parameters, timeout_s, **to_all):
         took_s = time.monotonic() - asked_s
-        answer = _refusal(reply.err) if reply.ok is None else _answered(reply.ok)
-        if answer is not None and answer.answer.vehicle is not None:
-            answers[answer.answer.vehicle] = answer.later_by(took_s)
+        if reply.ok is not None:
+            try:
+                answer = _answered(reply.ok)
+            except ForeignMessage as error:
+                dropped.failed(error)
+                continue
+            answers[str(answer.answer.vehicle)] = answer.later_by(took_s)
+        elif (refusal := _refusal(reply.err)) is not None and len(refusing) < MOST_REFUSING:
+            named = str(refusal.answer.vehicle)
+            if vehicle == ANY_VEHICLE:
+                refusing[named] = None
+            elif named != vehicle:
+                dropped.failed(ForeignMessage(f"{vehicle!r} sends what names {named!r}"))
+            else:
+                answers.setdefault(named, refusal.later_by(took_s))
+    for named in refusing:
+        with contextlib.suppress(ValueError):  # a name that no key can hold is no vehicle's
+            if named not in answers and named != ANY_VEHICLE:
+                answers |= _replies(session, named, parameters, dropped, timeout_s)
     return answers
 
 
@@ -134,7 +163,7 @@ def ask(
 class SetCache:
     """Subscribes to the sets of one or all vehicles and keeps the last ones, by vehicle, frame and time.
 
-    Thread-safe. `unreadable` counts payloads that were no sets; `last_error` is the last one's. A peer session, which
+    Thread-safe. `dropped` counts what was no set, or named another vehicle than its key. A peer session, which
     reconnects by itself, and is opened again after RENEW_S without a message: `link_error` states what prevents that.
     `subscriptions`: more key expressions to subscribe to, each with the function that gets its samples' keys and
     payloads; `on_set` gets each set and its size in bytes. Both are called in zenoh's thread: they must be quick and
@@ -152,15 +181,15 @@ class SetCache:
         subscriptions: Mapping[str, Callable[[str, bytes], object]] | None = None,
         on_set: Callable[[FeatureSet, int], None] | None = None,
     ) -> None:
-        self.unreadable = 0
+        self.dropped = DroppedMessages()
         self._subscriptions, self._on_set = dict(subscriptions or {}), on_set
-        self.last_error: WireError | None = None
         self._bounds = max_age_s, max_sets
         self._histories: dict[str, History[FeatureSet]] = {}
         self._clocks: dict[str, AircraftClock] = {}
         self._locators: dict[str, Locator] = {}
         self._lock = threading.Lock()
         self._ways = endpoint, tls, FEATURES.key(vehicle)
+        self._systems = RadioSystems()
         self._received_s = self._renewed_s = time.monotonic()
         self._retry_s = FIRST_RETRY_S
         self._failure: Exception | None = None  # of the last attempt to open the link again
@@ -246,7 +275,7 @@ class SetCache:
         if isinstance(session, MavlinkSets):
             raise LinkError("single pictures cannot be asked for through the autopilot's radio")
         try:
-            reply = _replies(session, f"{FEATURES.key(vehicle)}?{TIME_PARAMETER}={unix_s!r}").get(vehicle)
+            reply = _replies(session, vehicle, f"?{TIME_PARAMETER}={unix_s!r}", self.dropped).get(vehicle)
         except zenoh.ZError as error:
             raise LinkError(f"cannot ask {vehicle!r}: {error}") from error
         if reply is None:
@@ -330,14 +359,19 @@ class SetCache:
     def _receive(self, sample: zenoh.Sample) -> None:
         self._note_received()
         payload = sample.payload.to_bytes()
-        received = self._read(payload)
-        if received is not None:
-            self._keep(received, len(payload), _seconds(_json(sample.attachment)))
+        try:
+            received = read_set(str(sample.key_expr), payload)
+        except (WireError, ValueError) as error:
+            self.dropped.failed(error)
+            return
+        self._keep(received, len(payload), _seconds(_json(sample.attachment)))
 
-    def _take_from_radio(self, payload: bytes, age_s: float | None) -> None:
-        """What came without a key gets the one that its vehicle's name makes."""
-        received = self._read(payload)
-        if received is None:
+    def _take_from_radio(self, system: int, payload: bytes, age_s: float | None) -> None:
+        """A set that came without a key gets the one of the vehicle that its MAVLink system is."""
+        try:
+            received = self._systems.checked(system, decode(payload))
+        except WireError as error:
+            self.dropped.failed(error)
             return
         key = zenoh.KeyExpr(FEATURES.template.format(vehicle=received.vehicle))
         if key.intersects(zenoh.KeyExpr(self._ways[2])):
@@ -348,16 +382,6 @@ class SetCache:
 
     def _note_received(self) -> None:
         self._received_s = time.monotonic()
-
-    def _read(self, payload: bytes) -> FeatureSet | None:
-        """A set; None, and counted, for what cannot be read."""
-        try:
-            return decode(payload)
-        except WireError as error:
-            with self._lock:
-                self.unreadable += 1
-                self.last_error = error
-            return None
 
     def _keep(self, received: FeatureSet, size: int, age_s: float | None) -> None:
         """A set that came now, and its picture's age when it was sent."""
@@ -400,8 +424,8 @@ def _close(session: Any) -> None:
 
 
 def _answered(sample: zenoh.Sample) -> Reply:
-    """A set, and what its attachment states of it. Raises WireError for a set that cannot be read."""
-    found = decode(sample.payload.to_bytes())
+    """A set, and what its attachment states of it. Raises WireError for a set that cannot be read or is another's."""
+    found = read_set(str(sample.key_expr), sample.payload.to_bytes())
     about = _object(sample.attachment)
     return Reply(found, _seconds(about.get("age_s")), _later(about.get("newest")), *_state_and_reason(about))
 

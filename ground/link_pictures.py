@@ -10,8 +10,9 @@ from collections import OrderedDict
 
 from contract.errors import WireError
 from contract.picture import LinkPicture
-from contract.topics import PICTURE
-from contract.wire.picture_code import Piece, Whole, join, read_piece
+from contract.wire.message import read_picture_piece
+from contract.wire.picture_code import Piece, Whole, join
+from ground.dropped_messages import DroppedMessages
 
 MAX_PICTURES, MAX_BYTES = 1000, 32_000_000
 MAX_PARTIAL = 4  # of a vehicle: its pictures come one after the other, and a late one may still be completed
@@ -74,8 +75,7 @@ class PictureCache:
         self._pictures: OrderedDict[Identity, LinkPicture] = OrderedDict()  # as they came
         self._bytes = 0
         self.received = 0  # whole pictures
-        self.unreadable = 0  # messages that were no pieces of pictures
-        self.last_error: WireError | ValueError | None = None
+        self.dropped = DroppedMessages("no pictures")
 
     @property
     def incomplete(self) -> int:
@@ -86,17 +86,13 @@ class PictureCache:
     def take(self, key: str, payload: bytes) -> LinkPicture | None:
         """One message of the link, and the picture it completes; what is no piece of one of the vehicle's counts."""
         try:
-            piece = read_piece(payload)
-            if PICTURE.vehicle(key) != piece.whole.vehicle:
-                raise ValueError(f"a picture of {piece.whole.vehicle!r} came on {key}")
+            piece = read_picture_piece(key, payload)
             with self._lock:
                 found = self._assembly.take(piece)
                 if found is not None:
                     self._keep(found)
         except (WireError, ValueError) as error:
-            with self._lock:
-                self.unreadable += 1
-                self.last_error = error
+            self.dropped.failed(error)
             return None
         return found
 

@@ -17,11 +17,8 @@ from typing import IO, Any
 from contract import recording_format as names
 from contract.errors import InputError, WireError
 from contract.topics import FEATURES, PICTURE, SPOTS, STATUS, TRACKS
-from contract.vehicle_status import decode_status
-from contract.wire.codec import peek
-from contract.wire.picture_code import read_piece
-from contract.wire.spot_code import decode_spots
-from contract.wire.track_code import decode_tracks
+from contract.wire.message import peek_set, read_picture_piece, read_spots, read_status, read_tracks
+from ground.dropped_messages import DroppedMessages
 
 MAX_FILES = 50  # at once: a peer may invent vehicles
 SYNC_PERIOD_S = 2.0
@@ -48,23 +45,25 @@ class LinkRecorder:
         self._current: dict[str, int] = {}  # each vehicle's session, by its newest set or status
         self._synced_s = time.monotonic()
         self._messages = self._left_out = 0
+        self._dropped = DroppedMessages("none of ours")
         self._failure: InputError | None = None
 
     @property
     def words(self) -> str:
         """What was recorded so far."""
         with self._lock:
-            left = f"; {self._left_out} messages were none of ours" if self._left_out else ""
+            left = [f"{self._left_out} messages of no session were left out"] if self._left_out else []
             found = ", ".join(sorted(str(f.path) for f in self._files.values()))
-            return (f"{self._messages} messages in {found}" if found else "nothing received yet") + left
+            kept = f"{self._messages} messages in {found}" if found else "nothing received yet"
+            return "; ".join([kept, *left, *self._dropped.lines()])
 
     def take(self, key: str, payload: bytes) -> None:
         """One message of the link. What is no message of a vehicle is counted and left out."""
         with self._lock:
             try:
                 self._take(key, payload)
-            except (ValueError, WireError):
-                self._left_out += 1
+            except (ValueError, WireError) as error:
+                self._dropped.failed(error)
             except OSError as error:
                 self._failure = InputError(f"--to {self._folder}: {error.strerror}")
 
@@ -72,22 +71,20 @@ class LinkRecorder:
         kind = key.rpartition("/")[2]
         vehicle = FEATURES.vehicle(f"{key.rpartition('/')[0]}/features")
         if key == FEATURES.key(vehicle):
-            identity = peek(payload)
+            identity = peek_set(key, payload)
             session, at_ns, encoding = identity.session, identity.capture_unix_ns, names.SET_ENCODING
             self._current[vehicle] = max(session, self._current.get(vehicle, 0))
         elif key == STATUS.key(vehicle):
-            status = decode_status(payload)
+            _, status = read_status(key, payload)
             session, at_ns, encoding = status.session, max(round(status.unix_s * 1e9), 0), "json"
         elif key == PICTURE.key(vehicle):
-            whole = read_piece(payload).whole
-            if whole.vehicle != vehicle:
-                raise ValueError(f"a picture of {whole.vehicle!r} on {key}")
+            whole = read_picture_piece(key, payload).whole
             session, at_ns, encoding = whole.session, whole.capture_unix_ns, names.PICTURE_ENCODING
         elif key == TRACKS.key(vehicle):
-            first, *_ = decode_tracks(payload, vehicle)
+            first, *_ = read_tracks(key, payload)
             session, at_ns, encoding = first.session, first.capture_unix_ns, names.TRACK_ENCODING
         elif key == SPOTS.key(vehicle):
-            report = decode_spots(payload, vehicle)
+            report = read_spots(key, payload)
             session, at_ns, encoding = report.session, report.capture_unix_ns, names.SPOT_ENCODING
         else:
             session, at_ns, encoding = self._current.get(vehicle, 0), time.time_ns(), kind

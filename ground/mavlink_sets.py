@@ -6,7 +6,8 @@ import contextlib
 import time
 from collections.abc import Callable
 
-from contract.errors import LinkError, WireError
+from contract.errors import ForeignMessage, LinkError, WireError
+from contract.feature_set import FeatureSet
 from contract.wire.click_code import TurnedAway, decode
 from contract.wire.set_pieces import SetAssembly, encode_report, read_piece
 from ground.mavlink_endpoint import MavlinkEndpoint, masking
@@ -17,15 +18,31 @@ REPORT_S = 2.0
 REOPEN_S = 1.0
 
 
+class RadioSystems:
+    """Which vehicle each MAVLink system is: the one that its first set names, for as long as this program listens."""
+
+    def __init__(self) -> None:
+        self._names: dict[int, str] = {}
+
+    def checked(self, system: int, found: FeatureSet) -> FeatureSet:
+        """A set of a system. Raises ForeignMessage if it names another vehicle, or one that is another system."""
+        others = (number for number, name in self._names.items() if name == found.vehicle and number != system)
+        if (other := next(others, None)) is not None:
+            raise ForeignMessage(f"MAVLink system {system} sends what names {found.vehicle!r}, which is system {other}")
+        if (known := self._names.setdefault(system, found.vehicle)) != found.vehicle:
+            raise ForeignMessage(f"MAVLink system {system}, which is {known!r}, sends what names {found.vehicle!r}")
+        return found
+
+
 class MavlinkSets:
     """Listens in a thread of its own, and opens a link that broke again. Raises LinkError if it cannot be opened.
 
-    `take` gets each set and the age its picture had when it was sent (s, or None), `on_packet` is called for whatever
-    comes: both in that thread.
+    `take` gets the MAVLink system, its set, and the age its picture had when it was sent (s, or None), `on_packet` is
+    called for whatever comes: both in that thread. Where the endpoint names a vehicle, no other's sets are taken.
     """
 
     def __init__(
-        self, endpoint: MavlinkEndpoint, take: Callable[[bytes, float | None], None], on_packet: Callable[[], None]
+        self, endpoint: MavlinkEndpoint, take: Callable[[int, bytes, float | None], None], on_packet: Callable[[], None]
     ) -> None:
         self._endpoint, self._take, self._on_packet = endpoint, take, on_packet
         self._link: MavlinkLink | None = MavlinkLink(endpoint)
@@ -59,6 +76,8 @@ class MavlinkSets:
     def _listen(self, link: MavlinkLink) -> None:
         """What came within a moment, and a report to every vehicle from time to time. Raises LinkError."""
         for vehicle, payload in link.received():
+            if self._endpoint.vehicle not in (None, vehicle):
+                continue
             self._on_packet()
             self._take_packet(vehicle, payload)
         if link.vehicles and time.monotonic() - self._report_s >= REPORT_S:
@@ -73,7 +92,7 @@ class MavlinkSets:
             if piece is not None:
                 whole = self._assemblies.setdefault(vehicle, SetAssembly()).take(piece)
                 if whole is not None:
-                    self._take(*whole)
+                    self._take(vehicle, *whole)
                 return
             packet = decode(payload)
         except WireError:

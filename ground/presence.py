@@ -11,7 +11,8 @@ import zenoh
 
 from contract.errors import WireError
 from contract.topics import ALIVE, ANY_VEHICLE, STATUS
-from contract.vehicle_status import VehicleStatus, decode_status
+from contract.vehicle_status import VehicleStatus
+from contract.wire.message import read_status
 
 TOKENS_TIMEOUT_S = 2.0  # of a link that does not answer; one that does takes its round trip
 SILENT_S = 3.0  # of an aircraft without a token, which sends a status a second
@@ -71,7 +72,7 @@ class Presence:
 
     def _receive(self, sample: Any) -> None:
         try:
-            name, status = STATUS.vehicle(str(sample.key_expr)), decode_status(sample.payload.to_bytes())
+            name, status = read_status(str(sample.key_expr), sample.payload.to_bytes())
         except (ValueError, WireError):
             return
         with self._lock:

@@ -7,9 +7,8 @@ import time
 from collections.abc import Callable
 
 from contract.errors import WireError
-from contract.topics import TRACKS
 from contract.track import TrackReport
-from contract.wire.track_code import decode_tracks
+from contract.wire.message import read_tracks
 
 MOST = 1000  # tracks: a peer may invent vehicles
 SILENT_S = 5.0  # after which a track is no longer there: it is reported twice a second
@@ -18,7 +17,7 @@ SILENT_S = 5.0  # after which a track is no longer there: it is reported twice a
 def reports_in(key: str, payload: bytes) -> list[TrackReport]:
     """Of a message of the link; none of what is no message of tracks."""
     try:
-        return decode_tracks(payload, TRACKS.vehicle(key))
+        return read_tracks(key, payload)
     except (ValueError, WireError):
         return []
 

@@ -8,7 +8,7 @@ from contract import recording_format as names
 from contract.errors import WireError
 from contract.mcap_records import CHANNEL, MESSAGE, MESSAGE_HEAD, Data, mapped, read_channel, records
 from contract.picture import LinkPicture
-from contract.topics import PICTURE
+from contract.wire.message import read_picture_piece
 from contract.wire.picture_code import Whole, join, read_piece
 from ground.link_pictures import Identity
 
@@ -66,9 +66,7 @@ class RecordedLinkPictures:
 
     def _note(self, topic: str, place: _Place) -> None:
         try:
-            piece = read_piece(self._bytes(place))
-            if PICTURE.vehicle(topic) != piece.whole.vehicle:
-                return
+            piece = read_picture_piece(topic, self._bytes(place))
         except (WireError, ValueError):
             return
         w = piece.whole

@@ -18,15 +18,17 @@ from pathlib import Path
 from typing import Any
 
 from contract import recording_format as names
-from contract.errors import InputError, WireError
+from contract.errors import ForeignMessage, InputError, WireError
 from contract.feature_set import FeatureSet, Status
 from contract.mcap_records import CHANNEL, CHUNK, MAGIC, MESSAGE, MESSAGE_HEAD, Damage, Data, read_channel, records
 from contract.spot import SpotReport
-from contract.topics import FEATURES, SPOTS, TIME_TOLERANCE_S, TRACKS
+from contract.topics import SPOTS, TIME_TOLERANCE_S, TRACKS
 from contract.track import TrackReport
-from contract.wire.codec import decode, peek
+from contract.wire.codec import decode
+from contract.wire.message import peek_set
 from contract.wire.spot_code import decode_spots
 from contract.wire.track_code import decode_tracks
+from ground.dropped_messages import DroppedMessages
 
 _Found = tuple[str, str, int, int]  # topic, encoding, start and length of a message
 _FRAMES_BEFORE, _FRAMES_AFTER = names.FRAMES.split("{vehicle}")
@@ -72,6 +74,7 @@ class Recording:
         self._index = _Index()
         self._data: list[Data] = []
         self.damage: list[str] = []
+        self._foreign = DroppedMessages()
         parts = names.session_files(self.path)
         for file, part in enumerate(parts):
             data = _read(part, may_be_empty=len(parts) > 1)
@@ -83,8 +86,9 @@ class Recording:
                     self.damage.append(f"recording {part}: {trouble}; what comes after is missing")
             for topic, encoding, start, length in found:
                 self._note(topic, encoding, file, start, length)
+        self.damage += [f"recording {self.path}: {line}" for line in self._foreign.lines()]
         if not self._index.sets:
-            raise InputError(f"recording {self.path}: holds no feature sets")
+            raise InputError("; ".join([f"recording {self.path}: holds no feature sets", *self._foreign.lines()]))
         self._newest_ns = {
             name: max(held.capture_unix_ns for held in sets.values()) for name, sets in self._index.sets.items()
         }
@@ -186,11 +190,13 @@ class Recording:
     def _note(self, topic: str, encoding: str, file: int, start: int, length: int) -> None:
         if encoding == names.SET_ENCODING:
             try:
-                vehicle = FEATURES.vehicle(topic)
-                identity = peek(self._data[file][start : start + length])
+                identity = peek_set(topic, self._data[file][start : start + length])
+            except ForeignMessage as error:
+                self._foreign.failed(error)
+                return
             except (WireError, ValueError):
                 return  # not one of our sets; a damaged one is found by its checksum when it is asked for
-            sets = self._index.sets.setdefault(vehicle, {})
+            sets = self._index.sets.setdefault(identity.vehicle, {})
             held = sets.get(identity.frame)
             if held is None or held.revision <= identity.revision:
                 sets[identity.frame] = _Held(

@@ -13,7 +13,7 @@ from contract.errors import LinkError, WireError
 from contract.link_config import Tls
 from contract.topics import FOLLOW, TRACKS
 from contract.track import ListTracks, StartTrack, TrackReport, TrackRequest, parameters_of
-from contract.wire.track_code import decode_tracks
+from contract.wire.message import read_tracks
 from ground.client import open_link, put_question, several_aircraft
 from ground.presence import vehicles_there
 
@@ -86,7 +86,7 @@ class TrackLink:
     def _receive(self, sample: zenoh.Sample) -> None:
         """In zenoh's thread."""
         try:
-            reports = decode_tracks(sample.payload.to_bytes(), TRACKS.vehicle(str(sample.key_expr)))
+            reports = read_tracks(str(sample.key_expr), sample.payload.to_bytes())
         except (WireError, ValueError):
             self.unreadable += 1
             return

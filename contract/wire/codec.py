@@ -46,6 +46,7 @@ _STATUSES = tuple(Status)
 class Identity:
     """Which set a payload is, read from its first bytes without decoding (and without checking) the rest."""
 
+    vehicle: str
     session: int
     frame: int
     revision: int
@@ -54,9 +55,10 @@ class Identity:
 
 
 def peek(payload: bytes) -> Identity:
-    """The identity of a payload. Raises WireError as `decode` does, but checks nothing behind the head."""
+    """The identity of a payload. Raises WireError as `decode` does, but checks nothing behind the vehicle's name."""
     head = _read_head(payload)
-    return Identity(head[5], head[6], head[7], head[8], _status(head[4]))
+    vehicle = _vehicle(ByteCursor(payload, _HEAD.size, len(payload)), head[9])
+    return Identity(vehicle, head[5], head[6], head[7], head[8], _status(head[4]))
 
 
 def encode(feature_set: FeatureSet) -> bytes:
@@ -113,12 +115,7 @@ def decode(payload: bytes) -> FeatureSet:
     if zlib.crc32(payload[: -_CRC.size]) != _CRC.unpack(payload[-_CRC.size :])[0]:
         raise CorruptPayload("checksum does not match")
     cursor = ByteCursor(payload, _HEAD.size, length - _CRC.size)
-    try:
-        vehicle = cursor.take(vehicle_bytes).decode()
-    except UnicodeDecodeError as error:
-        raise CorruptPayload(f"vehicle name is not UTF-8: {error}") from error
-    if not 1 <= vehicle_bytes <= MAX_VEHICLE_BYTES:
-        raise CorruptPayload(f"vehicle name of {vehicle_bytes} bytes")
+    vehicle = _vehicle(cursor, vehicle_bytes)
     camera = _decode_camera(cursor, bool(flags & _DISTORTED))
     geometry = _decode_geometry(cursor, camera, flags) if flags & _POSED else {}
     if version & 15 <= MINOR and cursor.position != cursor.end:
@@ -153,6 +150,16 @@ def _read_head(payload: bytes) -> tuple[Any, ...]:
     if head[2] < _HEAD.size + _CRC.size:
         raise CorruptPayload(f"payload states a length of {head[2]} bytes, which is less than its head")
     return head
+
+
+def _vehicle(cursor: ByteCursor, vehicle_bytes: int) -> str:
+    try:
+        vehicle = cursor.take(vehicle_bytes).decode()
+    except UnicodeDecodeError as error:
+        raise CorruptPayload(f"vehicle name is not UTF-8: {error}") from error
+    if not 1 <= vehicle_bytes <= MAX_VEHICLE_BYTES:
+        raise CorruptPayload(f"vehicle name of {vehicle_bytes} bytes")
+    return vehicle
 
 
 def _status(code: int) -> Status:

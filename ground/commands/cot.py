@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import sys
 import time
 from pathlib import Path
@@ -14,6 +15,7 @@ from contract.track import TrackReport
 from ground.commands import ANSWERED
 from ground.commands.sources import add_source_arguments, opened
 from ground.commands.values import positive, whole
+from ground.commands.warnings import Warnings
 from ground.cot_sender import CotSender, Target
 from ground.formats import cot
 from ground.formats.mark import Mark
@@ -65,8 +67,10 @@ def run(args: argparse.Namespace) -> int:
     places = None if store is None else Places(store)
     aircraft = _no_aircraft if args.only_pins else _aircraft(args)
     stale_s = max(STALE_PERIODS * args.period, LEAST_STALE_S)
-    with CotSender(target) as sender:
-        shown = ""
+    with contextlib.ExitStack() as opened_links, CotSender(target) as sender:
+        if isinstance(aircraft, _aircraft):
+            opened_links.callback(aircraft.close)
+        shown, warnings = "", Warnings()
         while True:
             now_ns = time.time_ns()
             marks = [] if store is None or places is None else [Mark.of_pin(p, places.place(p)) for p in store.pins()]
@@ -91,6 +95,8 @@ def run(args: argparse.Namespace) -> int:
                 if args.once:
                     raise
                 words = str(error)  # the next period tries again
+            if isinstance(aircraft, _aircraft):
+                warnings.show(aircraft.dropped())
             if words != shown:
                 print(f"pc-ground cot: {words}", file=sys.stderr)
                 shown = words
@@ -124,9 +130,18 @@ class _aircraft:  # noqa: N801  called like a function
             while not self._cache.vehicles and time.monotonic() < until:
                 time.sleep(0.05)
 
+    def close(self) -> None:
+        """Leave the link."""
+        if self._recording is None:
+            self._cache.close()
+
     def tracks(self) -> list[TrackReport]:
         """The newest report of every track that is still being reported."""
         return self._tracks.newest()
+
+    def dropped(self) -> list[str]:
+        """What came and was not accepted, a line for each reason."""
+        return [] if self._recording is not None else self._cache.dropped.lines()
 
     def found(self) -> list[FoundThing]:
         """What more than one picture shows as a hot spot."""

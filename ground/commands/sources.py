@@ -16,6 +16,8 @@ from contract.feature_set import FeatureSet, Status
 from contract.locate import Locator
 from contract.topics import ANY_VEHICLE, DEFAULT_ENDPOINT, TIME_TOLERANCE_S
 from contract.wire.click_code import cut_name
+from ground.commands.warnings import Warnings
+from ground.dropped_messages import DroppedMessages
 from ground.freshness import Later, Reply, aged, too_old
 from ground.link_options import UsageError, add_tls_arguments, endpoint_of, tls_of
 from ground.recording import Recording
@@ -107,6 +109,7 @@ class LinkSource:
             raise UsageError(NO_NAMES)
         from ground.client import inquire  # noqa: PLC0415  zenoh is loaded only where there is a link
 
+        dropped = DroppedMessages()
         try:
             replies = inquire(
                 self._endpoint,
@@ -115,9 +118,11 @@ class LinkSource:
                 unix_s=unix_s,
                 tls=self._tls,
                 is_sole=self._vehicle is None,
+                dropped=dropped,
             )
         except ValueError as error:
             raise UsageError(str(error)) from error
+        Warnings().show(dropped.lines())
         reply = replies[vehicle_of(self._vehicle, sorted(replies))]
         if isinstance(reply.answer, Refusal):
             return replace(reply, answer=replace(reply.answer, frame=frame))

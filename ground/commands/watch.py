@@ -20,10 +20,12 @@ from contract.feature_set import FeatureSet
 from contract.locate import Locator
 from contract.topics import ANY_VEHICLE, SPOTS, STATUS, TRACKS
 from contract.track import TrackReport
-from contract.vehicle_status import VehicleStatus, decode_status
+from contract.vehicle_status import VehicleStatus
+from contract.wire.message import read_status
 from ground.commands import ANSWERED
 from ground.commands.sources import add_source_arguments, opened
 from ground.commands.values import positive, whole
+from ground.commands.warnings import Warnings
 from ground.formats.documents import one_line
 from ground.formats.mark import Mark
 from ground.freshness import MAX_AGE_S
@@ -108,6 +110,7 @@ def run(args: argparse.Namespace) -> int:
     }  # fmt: skip
     cache = SetCache(endpoint_of(args, tls), vehicle, tls=tls, subscriptions=subscriptions, on_set=received.set)
     is_screen = sys.stdout.isatty() and not args.json
+    warnings = Warnings()
     with cache:
         shown = 0
         while args.count is None or shown < args.count:
@@ -122,6 +125,7 @@ def run(args: argparse.Namespace) -> int:
             if not rows and not args.json:
                 print(f"nothing received yet{f': {cache.link_error}' if cache.link_error else ''}", file=sys.stderr)
             _show(rows, [*tracks.newest(), *_recent(found)], args.json, is_screen)
+            warnings.show(cache.dropped.lines(), always=is_screen)
             shown += 1
     return ANSWERED
 
@@ -138,7 +142,7 @@ class _Received:
 
     def status(self, key: str, payload: bytes) -> None:
         try:
-            vehicle, status = STATUS.vehicle(key), decode_status(payload)
+            vehicle, status = read_status(key, payload)
         except (ValueError, WireError):
             return
         if vehicle in self.states or len(self.states) < self.MOST:

@@ -7,8 +7,7 @@ from collections.abc import Iterable
 
 from contract.errors import WireError
 from contract.spot import SpotReport
-from contract.topics import SPOTS
-from contract.wire.spot_code import decode_spots
+from contract.wire.message import read_spots
 from ground.spots.fire import Fire, FireGround
 from ground.spots.found_thing import FoundThing
 from ground.spots.merging import SpotMerger
@@ -17,7 +16,7 @@ from ground.spots.merging import SpotMerger
 def reports_in(key: str, payload: bytes) -> list[SpotReport]:
     """Of a message of the link: one, or none of what is no message of spots."""
     try:
-        return [decode_spots(payload, SPOTS.vehicle(key))]
+        return [read_spots(key, payload)]
     except (ValueError, WireError):
         return []
 

@@ -21,8 +21,8 @@ from contract.link_config import Tls
 from contract.supervised_thread import Policy, SupervisedThread
 from contract.topics import ANY_VEHICLE, PICTURE, SPOTS, STATUS, TRACKS
 from contract.track import TrackRequest
-from contract.vehicle_status import VehicleStatus, decode_status
-from contract.wire.codec import decode
+from contract.vehicle_status import VehicleStatus
+from contract.wire.message import read_set, read_status
 from ground.client import SetCache, inquire
 from ground.link_pictures import PictureCache
 from ground.mavlink_endpoint import SCHEME
@@ -186,14 +186,12 @@ class LiveSource:
         for endpoint, cache in self._caches.items():
             if cache.link_error:
                 lines.append(f"{endpoint}: {cache.link_error}")
-            if cache.unreadable:
-                lines.append(f"{endpoint}: {cache.unreadable} messages were no sets ({cache.last_error})")
+            lines += [f"{endpoint}: {line}" for line in cache.dropped.lines()]
         if self._journal is not None and self._journal.error:
             lines.append(self._journal.error)
         if not self._reading.report().is_well:
             lines.append(f"the journal of the link could not be read: {self._reading.report().last_error}")
-        if self._pictures.unreadable:
-            lines.append(f"{self._pictures.unreadable} messages were no pictures ({self._pictures.last_error})")
+        lines += self._pictures.dropped.lines()
         return lines
 
     def no_pictures(self) -> str:
@@ -228,9 +226,9 @@ class LiveSource:
                     take(key, payload)
                     continue
                 try:
-                    found = decode(payload)
-                except WireError:
-                    continue
+                    found = read_set(key, payload)
+                except (WireError, ValueError):
+                    continue  # the recorder that wrote the journal has counted it
                 for cache in self._caches.values():  # the endpoint at which it will be received is not known yet
                     cache.bring_in(found)
                 counts[found.vehicle] = counts.get(found.vehicle, 0) + 1
@@ -306,7 +304,7 @@ class LiveSource:
 
     def _note_status(self, key: str, payload: bytes) -> None:
         try:
-            vehicle, status = STATUS.vehicle(key), decode_status(payload)
+            vehicle, status = read_status(key, payload)
         except (WireError, ValueError):
             return
         with self._lock:

@@ -34,7 +34,7 @@ def test_pictures_are_given_by_vehicle_session_and_frame_also_with_pieces_of_sev
         assert cache.picture("uav-1", SESSION, picture.frame) == picture
     assert cache.picture("uav-1", SESSION + 1, 1) is None and cache.picture("uav-2", SESSION, 1) is None
     assert cache.frames("uav-2", SESSION) == set()
-    assert cache.unreadable == 0 and cache.incomplete == 0
+    assert cache.dropped.unreadable == 0 and cache.incomplete == 0
 
 
 def test_what_is_kept_is_bounded_in_pictures_and_bytes_and_the_newest_stay() -> None:
@@ -71,13 +71,14 @@ def test_whatever_else_comes_on_the_key_is_counted() -> None:
         cache.take(KEY, payload)
     cache.take(PICTURE.key("uav-2"), piece)  # in another's name
     cache.take("pc/uav-1/features", piece)
-    assert cache.unreadable == len(junk) + 2 and cache.received == 0 and cache.last_error is not None
+    assert cache.dropped.unreadable == len(junk) + 1 and cache.received == 0 and cache.dropped.last_error is not None
+    assert "dropped, 'uav-2' sends what names 'uav-1': 1 messages" in cache.dropped.lines()
     random.seed(2)
     for _ in range(500):
         spoilt = bytearray(piece)
         spoilt[random.randrange(len(spoilt))] ^= 1 + random.randrange(255)
         cache.take(KEY, bytes(spoilt))
-    assert cache.unreadable == len(junk) + 502 and not cache.frames("uav-1", SESSION)
+    assert cache.dropped.unreadable == len(junk) + 501 and not cache.frames("uav-1", SESSION)
 
 
 def test_recorded_pictures_are_given_again_with_a_piece_of_each_group_lost(tmp_path: Path) -> None:
@@ -91,7 +92,8 @@ def test_recorded_pictures_are_given_again_with_a_piece_of_each_group_lost(tmp_p
                     recorder.take(KEY, piece)
         recorder.take(PICTURE.key("uav-2"), cut(pictures[0], with_parity=False)[0])  # in another's name
         recorder.take(KEY, b"PP nonsense")
-        assert "2 messages were none of ours" in recorder.words
+        assert "1 messages were none of ours" in recorder.words
+        assert "dropped, 'uav-2' sends what names 'uav-1': 1 messages" in recorder.words
     assert Recording(tmp_path).frames("uav-1") == [0, 1, 2, 3]  # and they are in the way of nothing
     recorded = RecordedLinkPictures(tmp_path)
     assert recorded.frames("uav-1", SESSION) == {0, 1, 2}

@@ -214,7 +214,7 @@ def test_another_vehicles_sets_are_left_out_and_what_needs_single_pictures_says_
         aircraft.radio.feed.offer(a_set(0))
         assert eventually(lambda: aircraft.radio.feed.sent)
         time.sleep(0.3)
-        assert aircraft.radio.feed.sent >= 1 and cache.vehicles == [] and cache.unreadable == 0
+        assert aircraft.radio.feed.sent >= 1 and cache.vehicles == [] and cache.dropped.unreadable == 0
         with pytest.raises(LinkError, match="single pictures"):
             cache.ask_at("uav-1", 0.0)
     with pytest.raises(LinkError, match="it answers pc-ground click"):

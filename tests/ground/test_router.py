@@ -146,7 +146,7 @@ def test_an_aircraft_that_publishes_under_another_s_name_is_not_received(station
         assert eventually(is_heard_of_itself)
         assert eventually(lambda: cache.by_frame("uav-1", last) is not None)
         assert b"a lie" not in status
-        assert cache.by_frame("uav-1", LIE) is None and cache.unreadable == 0
+        assert cache.by_frame("uav-1", LIE) is None and cache.dropped.unreadable == 0
         answer = asked(station.endpoint, "uav-1", tls=station.tls("anna"))["uav-1"]
         assert answer.frame == last
         tokens: set[str] = set()

@@ -96,14 +96,15 @@ def test_what_was_recorded_from_the_link_answers_like_the_aircraft(
 
 def test_a_recording_has_no_name_that_leads_elsewhere(tmp_path: Path) -> None:
     """Whoever publishes may call himself anything that a key can hold."""
+    status = encode_status(VehicleStatus(START_NS / 1e9, 7, "ok"))
     with LinkRecorder(tmp_path / "d") as recorder:
         for vehicle in ("..", "..\\..\\x", "a b;rm -rf ~", "\U0001f525" * 100, ".hidden", "x" * 300):
-            recorder.take(FEATURES.key(vehicle), encode(SETS[0]))
+            recorder.take(STATUS.key(vehicle), status)
         recorder.take("pc/../../../etc/features", encode(SETS[0]))
         recorder.take("elsewhere", b"x")
         recorder.take("pc/new/other", b"before any session")
         for k in range(200):  # an invented vehicle each
-            recorder.take(FEATURES.key(f"v{k}"), encode(SETS[0]))
+            recorder.take(STATUS.key(f"v{k}"), status)
     found = list((tmp_path / "d").iterdir())
     assert sorted(tmp_path.iterdir()) == [tmp_path / "d"]
     assert 40 < len(found) <= 50 and all(p.is_file() and not p.name.startswith(".") for p in found)

@@ -159,7 +159,7 @@ def test_a_viewer_publishes_neither_sets_nor_status_and_answers_for_no_one(place
             return friend.by_frame("uav-1", 5) is not None and b"true" in status
 
         assert eventually(is_received)
-        assert friend.by_frame("uav-1", 99) is None and friend.unreadable == 0
+        assert friend.by_frame("uav-1", 99) is None and friend.dropped.unreadable == 0
         assert status.count(b"spoofed") == 0
         assert set(asked(place.endpoint, tls=place.tls("anna"))) == {"uav-1"}
         queryable.undeclare()

@@ -173,7 +173,7 @@ def test_a_ground_that_asks_gets_the_right_picture_for_the_frame_and_one_that_do
             picture = pictures.picture("uav-1", BASE.session, frame)
             assert picture is not None and picture.capture_unix_ns == START_NS + frame * 10**8
             assert picture.content == small_image(an_image(frame), SECTION)[0]
-        assert pictures.unreadable == 0
+        assert pictures.dropped.unreadable == 0
 
 
 def _reported(flying: Publisher, cache: SetCache, number: int) -> bool:

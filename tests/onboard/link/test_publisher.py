@@ -186,7 +186,7 @@ def test_a_subscriber_caches_sets_by_vehicle_frame_and_time(publisher: Publisher
         assert two is not None and timed is not None and timed.frame == 1
         assert cache.locator(newest) is cache.locator(newest)
         assert isinstance(cache.locator(newest).locate((320.0, 240.0)), Fix)
-        assert cache.by_frame("nobody", 1) is None and cache.unreadable == 0
+        assert cache.by_frame("nobody", 1) is None and cache.dropped.unreadable == 0
 
 
 def test_garbage_on_the_key_is_counted_and_does_no_harm(endpoint: str) -> None:
@@ -196,10 +196,10 @@ def test_garbage_on_the_key_is_counted_and_does_no_harm(endpoint: str) -> None:
         def spoilt() -> bool:
             session.put("pc/uav-1/features", b"PC\x20 nonsense")
             session.put("pc/uav-1/features", encode(a_set(0)))
-            return cache.unreadable > 0 and cache.newest("uav-1") is not None
+            return cache.dropped.unreadable > 0 and cache.newest("uav-1") is not None
 
         assert eventually(spoilt)
-        assert "bytes" in str(cache.last_error)
+        assert "bytes" in str(cache.dropped.last_error)
 
 
 def zenoh_peer(endpoint: str, mode: str = "peer") -> zenoh.Session:

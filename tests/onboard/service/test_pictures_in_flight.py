@@ -81,7 +81,7 @@ def test_the_ground_gets_the_right_image_for_the_frame(tmp_path: Path) -> None:
         (session,) = {s.session for _, s in air.received.sets}
         by_frame = {s.frame: s for _, s in air.received.sets}
         frames = pictures.frames(vehicle, session)
-        assert frames and pictures.unreadable == 0
+        assert frames and pictures.dropped.unreadable == 0
         for frame in frames:
             picture = pictures.picture(vehicle, session, frame)
             assert picture is not None
