@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from contract.answer import Answer
 from contract.errors import WireError
-from contract.wire.click_code import ClickAnswer, ClickQuestion, TurnedAway, decode, encode_question
+from contract.wire.click_code import ClickAnswer, ClickQuestion, decode, encode_question
 
 # A question and its answer take 2.4 s of 400 bit/s: a lost one is asked again after that. And once sooner: on a faster
 # radio it is lost by then, and on a thin one the way up is free.
@@ -40,12 +40,10 @@ class Asking:
         """Whether no answer is to be expected any more."""
         return now_s - self._began_s >= GIVE_UP_S
 
-    def take(self, payload: bytes) -> Answer | TurnedAway | None:
+    def take(self, payload: bytes) -> Answer | None:
         """What a packet answers to this question; None if it is about another, or cannot be read."""
         try:
             found = decode(payload)
         except WireError:
             return None
-        if isinstance(found, ClickQuestion) or found.number != self.question.number:
-            return None
-        return found.answer if isinstance(found, ClickAnswer) else found
+        return found.answer if isinstance(found, ClickAnswer) and found.number == self.question.number else None

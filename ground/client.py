@@ -339,6 +339,8 @@ class SetCache:
         """
         now_s = time.monotonic()
         with self._lock:
+            if isinstance(self._session, MavlinkSets) and self._session.refusal:
+                return  # it was turned away, and would be again
             is_down = self._session is None
             wait_s = self._retry_s if is_down else RENEW_S
             if self._is_closed or now_s - max(self._received_s, self._renewed_s) <= wait_s:

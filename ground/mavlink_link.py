@@ -9,15 +9,19 @@ from typing import Any, Self
 
 from contract.answer import Answer
 from contract.errors import InputError, LinkError
-from contract.wire.click_code import MAX_NUMBER, TUNNEL_TYPE, ClickQuestion, TurnedAway
+from contract.wire.click_code import MAX_NUMBER, TUNNEL_TYPE, ClickQuestion, turned_away
 from ground.click_asking import Asking
 from ground.mavlink_endpoint import MavlinkEndpoint, masking
 
 LOOK_S = 0.05
-BEAT_S = 5.0  # between heartbeats: they teach the autopilot where we are, and cost 168 bits each
+BEAT_S = 30.0  # between heartbeats: any packet of ours teaches the autopilot where we are, and they cost 168 bits each
 FIND_S = 10.0  # for a heartbeat of the vehicle
 TUNNEL_BYTES = 128
 CHUNK = 4096
+
+
+class NumberRefused(LinkError):
+    """An aircraft takes nothing under our system number: there is no use in asking again."""
 
 
 class MavlinkLink:
@@ -48,6 +52,7 @@ class MavlinkLink:
             self._wire.setup_signing(e.key)
         self._vehicles: set[int] = set()
         self._number = random.randrange(MAX_NUMBER + 1)  # so that a new program's questions are not an old one's
+        self._took_us: set[int] = set()  # aircraft, under our number
         self._beat_s = -BEAT_S
 
     def ask(self, u_px: float, v_px: float, *, frame: int | None = None, capture_unix_ns: int | None = None) -> Answer:
@@ -60,14 +65,11 @@ class MavlinkLink:
         vehicle = self._find_vehicle()
         asking = Asking(question, time.monotonic())
         while not asking.is_over(time.monotonic()):
-            if time.monotonic() - self._beat_s >= BEAT_S:
-                self.beat()
+            self.beat()
             if asking.is_due(time.monotonic()):
                 self.send(vehicle, asking.packet(time.monotonic()))
             for sender, payload in self.received():
                 found = asking.take(payload) if sender == vehicle else None
-                if isinstance(found, TurnedAway):
-                    raise LinkError(masking(self._endpoint.system, found.low, found.high))
                 if found is not None:
                     return found
         raise LinkError(
@@ -103,7 +105,10 @@ class MavlinkLink:
         return sorted(self._vehicles) if self._endpoint.vehicle is None else [self._endpoint.vehicle]
 
     def received(self) -> list[tuple[int, bytes]]:
-        """What came for us within a moment, with the system that sent it. Raises LinkError."""
+        """What came for us within a moment, with the system that sent it.
+
+        Raises LinkError where the link is broken, NumberRefused where an aircraft turns our number away.
+        """
         self._wire.select(LOOK_S)
         try:
             data = self._wire.recv(CHUNK)
@@ -117,10 +122,21 @@ class MavlinkLink:
                 self._vehicles.add(message.get_srcSystem())
             elif name == "TUNNEL" and (message.payload_type, message.target_system, message.target_component) == ours:
                 out.append((message.get_srcSystem(), bytes(message.payload[: message.payload_length])))
+                self._note_answer(*out[-1])
         return out
 
+    def _note_answer(self, vehicle: int, payload: bytes) -> None:
+        refusal = turned_away(payload)
+        if refusal is not None and vehicle in self.vehicles:
+            raise NumberRefused(masking(self._endpoint.system, refusal.low, refusal.high))
+        self._took_us.add(vehicle)
+
     def beat(self) -> None:
-        """Announce this end. Not as a ground station: an autopilot may take any heartbeat of one for its own."""
+        """Announce this end, seldom, and only once every aircraft has taken us: a heartbeat under a number that an
+        autopilot's ground stations have would hide from it that it has lost them. Not as a ground station either.
+        """
+        if not self._took_us.issuperset(self.vehicles) or time.monotonic() - self._beat_s < BEAT_S:
+            return
         self._beat_s = time.monotonic()
         d = self._dialect
         kind, autopilot, state = d.MAV_TYPE_ONBOARD_CONTROLLER, d.MAV_AUTOPILOT_INVALID, d.MAV_STATE_ACTIVE

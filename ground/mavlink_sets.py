@@ -8,10 +8,9 @@ from collections.abc import Callable
 
 from contract.errors import ForeignMessage, LinkError, WireError
 from contract.feature_set import FeatureSet
-from contract.wire.click_code import TurnedAway, decode
 from contract.wire.set_pieces import SetAssembly, encode_report, read_piece
-from ground.mavlink_endpoint import MavlinkEndpoint, masking
-from ground.mavlink_link import MavlinkLink
+from ground.mavlink_endpoint import MavlinkEndpoint
+from ground.mavlink_link import MavlinkLink, NumberRefused
 from ground.watched_thread import WatchedThread
 
 REPORT_S = 2.0
@@ -39,6 +38,7 @@ class MavlinkSets:
 
     `take` gets the MAVLink system, its set, and the age its picture had when it was sent (s, or None), `on_packet` is
     called for whatever comes: both in that thread. Where the endpoint names a vehicle, no other's sets are taken.
+    Once an aircraft has turned our number away nothing more is sent, whatever comes.
     """
 
     def __init__(
@@ -48,12 +48,13 @@ class MavlinkSets:
         self._link: MavlinkLink | None = MavlinkLink(endpoint)
         self._assemblies: dict[int, SetAssembly] = {}
         self._report_s = -REPORT_S
+        self.refusal = ""  # why nothing is asked for any more
         self._thread = WatchedThread("sets over MAVLink", self._work, 0.0)
 
     @property
     def trouble(self) -> str:
         """What keeps sets from coming, in a line; empty if nothing is known to."""
-        return self._thread.trouble
+        return self.refusal or self._thread.trouble
 
     def close(self) -> None:
         """No more sets."""
@@ -64,9 +65,15 @@ class MavlinkSets:
     def _work(self) -> None:
         if self._link is None:
             self._thread.wait(REOPEN_S)
+            if self.refusal:
+                return
             self._link = MavlinkLink(self._endpoint)
         try:
             self._listen(self._link)
+        except NumberRefused as refused:
+            self.refusal = str(refused)
+            self._link.close()
+            self._link = None
         except LinkError:
             with contextlib.suppress(OSError):
                 self._link.close()
@@ -93,9 +100,5 @@ class MavlinkSets:
                 whole = self._assemblies.setdefault(vehicle, SetAssembly()).take(piece)
                 if whole is not None:
                     self._take(vehicle, *whole)
-                return
-            packet = decode(payload)
         except WireError:
             return
-        if isinstance(packet, TurnedAway):
-            raise LinkError(masking(self._endpoint.system, packet.low, packet.high))

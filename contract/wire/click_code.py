@@ -108,6 +108,13 @@ def encode_answer(reply: ClickAnswer | TurnedAway) -> bytes:
     return _head(FIX, reply.number, flags, a) + _place(a) + name
 
 
+def turned_away(payload: bytes) -> TurnedAway | None:
+    """A refusal to speak to this ground, whatever it was the answer to; None for all else."""
+    if len(payload) != _TURNED_AWAY.size or payload[0] != MAJOR << 4 | TURNED_AWAY:
+        return None
+    return TurnedAway(*_TURNED_AWAY.unpack(payload)[1:])
+
+
 def decode(payload: bytes) -> ClickQuestion | ClickAnswer | TurnedAway:
     """A packet of either way. Raises TruncatedPayload, CorruptPayload or NewerPayload, and nothing else."""
     if (kind := first_byte(payload, "clicks", MAJOR)) not in _READERS:

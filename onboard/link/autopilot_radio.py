@@ -44,6 +44,7 @@ class AutopilotRadio:
     ) -> None:
         overhead = OVERHEAD + is_signed * SIGNATURE
         bucket = Bucket(max_bit_rate / 8.0, max(BURST_S * max_bit_rate / 8.0, MAX_WIRE_BYTES), now_ns() / 1e9)
+        self._bucket, self._overhead, self._now_ns = bucket, overhead, now_ns
         self.clicks = ClickService(vehicle, look_up, overhead, bucket, now_ns)
         self.feed = SetFeed(max_bit_rate, overhead, bucket, age_s, now_ns)
         self._ground_stations = GROUND_STATIONS
@@ -84,4 +85,7 @@ class AutopilotRadio:
         """What may go now, the bit rate paid."""
         out = [(ground, TurnedAway(number, *self._ground_stations)) for ground, number in self._turned_away.items()]
         self._turned_away.clear()
-        return [(ground, encode_answer(refusal)) for ground, refusal in out] + self.clicks.due() + self.feed.due()
+        refusals = [(ground, encode_answer(refusal)) for ground, refusal in out]
+        for _, refusal in refusals:
+            self._bucket.take(len(refusal) + self._overhead, self._now_ns() / 1e9)
+        return refusals + self.clicks.due() + self.feed.due()

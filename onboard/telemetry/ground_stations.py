@@ -27,7 +27,17 @@ class GroundStations:
     def __init__(self) -> None:
         self._values: dict[str, int] = {}
         self._is_asked = False
+        self._has_given_up = False
         self._tries, self._due_ns = 0, 0
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the autopilot may still report others than `range`: until then no ground may be spoken to."""
+        return self._is_asked and not self._is_known and not self._has_given_up
+
+    @property
+    def _is_known(self) -> bool:
+        return (LOW in self._values and HIGH in self._values) or OLD in self._values
 
     @property
     def range(self) -> tuple[int, int]:
@@ -46,8 +56,10 @@ class GroundStations:
 
     def due(self, now_ns: int, system: int) -> list[Any]:
         """Requests for what is not known yet; for the older name where the newer is not answered."""
-        is_known = (LOW in self._values and HIGH in self._values) or OLD in self._values
-        if is_known or not self._is_asked or self._tries >= MAX_TRIES or now_ns < self._due_ns:
+        if not self.is_open or now_ns < self._due_ns:
+            return []
+        if self._tries >= MAX_TRIES:
+            self._has_given_up = True
             return []
         self._tries, self._due_ns = self._tries + 1, now_ns + AGAIN_NS
         is_old = self._tries > OLD_AFTER and LOW not in self._values

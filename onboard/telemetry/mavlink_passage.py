@@ -1,6 +1,7 @@
 """What passes through the autopilot to grounds behind its radio, in MAVLink's TUNNEL. No link, no thread.
 
-Always addressed to one ground's system and component: a broadcast TUNNEL floods every link of the autopilot.
+Always addressed to one ground's system and component: a broadcast TUNNEL floods every link of the autopilot. Nothing
+of a ground's is taken before it is known whether its number is one of the autopilot's ground stations: it asks again.
 """
 
 from __future__ import annotations
@@ -29,7 +30,8 @@ class Passage:
         """One message from the line; `system`: the vehicle's number, as far as it is known."""
         name = message.get_type()
         if name == "TUNNEL" and message.payload_type == TUNNEL_TYPE:
-            if (message.target_system, message.target_component) == (system, self._component):
+            is_ours = (message.target_system, message.target_component) == (system, self._component)
+            if is_ours and not self._ground_stations.is_open:
                 ground = Peer(message.get_srcSystem(), message.get_srcComponent())
                 self._tunnel.receive(ground, bytes(message.payload[: message.payload_length]))
         elif name in ("HEARTBEAT", "PARAM_VALUE"):

@@ -64,6 +64,11 @@ class Autopilot:
         """The vehicle's system number; None while it is open which vehicle is ours."""
         return self.choice.system
 
+    @property
+    def is_known(self) -> bool:
+        """Whether a heartbeat of the vehicle's autopilot has been received, and so what it is."""
+        return self._kind != int(mavlink.MAV_AUTOPILOT_INVALID)
+
     # --- in ---
 
     def receive(self, message: Any, arrival_ns: int) -> list[NavEvent]:

@@ -180,7 +180,7 @@ class LiveTelemetry:
                     self._log.write(arrival_ns, bytes(message.get_msgbuf()))
                 for event in autopilot.receive(message, arrival_ns):
                     emit(arrival_ns, event)
-                if self._passage is not None:
+                if self._passage is not None and autopilot.is_known:
                     self._passage.receive(message, autopilot.system)
             end.system = autopilot.system
             for message in autopilot.due(clock.now_ns(), wire.speaks_first or self._is_signed):

@@ -373,17 +373,17 @@ class FakeAutopilot:
                 if message.get_srcSystem() == self.system:
                     self._mission_computer_ns = self._clock.now_ns()
             elif name == "PARAM_REQUEST_READ" and message.target_system == self.system:
-                if message.param_id == "SCHED_LOOP_RATE" and self.style.loop_hz is not None:
-                    kind = mavlink.MAV_PARAM_TYPE_INT16
-                    name_bytes = message.param_id.encode()
-                    self._send(mavlink.MAVLink_param_value_message(name_bytes, self.style.loop_hz, kind, 1000, 500))
+                value = self.style.parameters.get(message.param_id)
+                if value is not None:
+                    kind, asked = mavlink.MAV_PARAM_TYPE_INT16, message.param_id.encode()
+                    self._send(mavlink.MAVLink_param_value_message(asked, value, kind, 1000, 500))
             elif name == "REQUEST_DATA_STREAM" and message.target_system == self.system:
                 self._rates.set_stream(message.req_stream_id, message.req_message_rate * message.start_stop)
 
     def _answer(self, command: Any) -> None:
         if command.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
             result = self._rates.set_interval(int(command.param1), command.param2)
-            if result == mavlink.MAV_RESULT_DENIED and self.style.loop_hz is not None:
+            if result == mavlink.MAV_RESULT_DENIED and "SCHED_LOOP_RATE" in self.style.parameters:
                 self._show(mavlink.MAV_SEVERITY_WARNING, f"Requested rate {1e6 / command.param2:.0f}Hz too fast")
         elif command.command == mavlink.MAV_CMD_REQUEST_MESSAGE and command.param1 == 148:
             result = int(mavlink.MAV_RESULT_ACCEPTED)

@@ -29,7 +29,7 @@ class Style:
     mavlink1: bool = False
     timesync_s: float = 10.0  # how often it asks us
     starting_status: int = mavlink.MAV_STATE_CALIBRATING  # of its heartbeats until it is ready
-    loop_hz: float | None = None  # ArduPilot's SCHED_LOOP_RATE; None: it has no such parameter
+    parameters: dict[str, float] = field(default_factory=dict)  # that it reports; of others nothing
     unknown: tuple[int, ...] = ()  # numbers of messages it sends that pymavlink's dialect does not have
     # How long a component of the type "onboard controller" may be silent before the pilot is warned; None: for ever.
     mission_computer_s: float | None = None
@@ -41,7 +41,7 @@ STYLES = {
         {"ATTITUDE": 4.0, "GLOBAL_POSITION_INT": 2.0, "GPS_RAW_INT": 2.0, "ATTITUDE_QUATERNION": 0.0},
         1.0,
         40.0,
-        loop_hz=50.0,
+        parameters={"SCHED_LOOP_RATE": 50.0, "MAV_GCS_SYSID": 255.0, "MAV_GCS_SYSID_HI": 255.0},
     ),
     "px4": Style(
         mavlink.MAV_AUTOPILOT_PX4,

@@ -24,6 +24,7 @@ from ground.__main__ import main
 from ground.client import SetCache, inquire
 from ground.mavlink_endpoint import MavlinkEndpoint
 from ground.mavlink_link import MavlinkLink
+from ground.mavlink_sets import REPORT_S
 from ground.recording import Recording
 from onboard.config.schema import parse_config
 from onboard.link.autopilot_radio import AutopilotRadio
@@ -226,3 +227,17 @@ def test_a_listener_that_is_turned_away_says_why() -> None:
         aircraft.radio.know_ground_stations(250, 255)
         with SetCache(f"{radio}?system=250") as cache:
             assert eventually(lambda: "MAV_GCS_SYSID 250 to 255" in cache.link_error)
+            asked = len(aircraft.received)
+            time.sleep(2.0 * REPORT_S)  # in which it would have asked again
+            assert "MAV_GCS_SYSID 250 to 255" in cache.link_error
+        assert len(aircraft.received) == asked and set(aircraft.received) == {"TUNNEL"}
+
+
+def test_no_heartbeat_goes_out_before_every_aircraft_has_taken_us() -> None:
+    with flying() as (radio, (aircraft,)), MavlinkLink(MavlinkEndpoint.parse(radio)) as link:
+        assert eventually(lambda: link.received() is not None and link.vehicles == [3])
+        link.beat()
+        assert isinstance(link.ask(320.0, 240.0), Fix)
+        assert set(aircraft.received) == {"TUNNEL"}
+        link.beat()
+        assert eventually(lambda: "HEARTBEAT" in aircraft.received)

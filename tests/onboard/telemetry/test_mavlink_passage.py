@@ -103,6 +103,29 @@ def test_the_ground_stations_numbers_are_asked_of_the_autopilot_until_they_are_k
     assert asked(passage, 60) == []
 
 
+def test_nothing_of_a_ground_s_is_taken_while_its_number_may_be_a_ground_station_s(
+    passage: Passage, tunnel: Tunnel
+) -> None:
+    question = received(tunnelled(SYSTEM, COMPONENT, b"x"))
+    beat(passage)
+    passage.receive(question, SYSTEM)
+    passage.receive(parameter("MAV_GCS_SYSID", 240.0), SYSTEM)
+    passage.receive(question, SYSTEM)
+    assert tunnel.received == []
+    passage.receive(parameter("MAV_GCS_SYSID_HI", 250.0), SYSTEM)
+    passage.receive(question, SYSTEM)
+    assert tunnel.received == [(Peer(245, 25), b"x")]
+
+
+def test_an_autopilot_that_reports_no_range_has_the_usual_one(passage: Passage, tunnel: Tunnel) -> None:
+    beat(passage)
+    for at_s in range(20):
+        passage.receive(received(tunnelled(SYSTEM, COMPONENT, bytes([at_s]))), SYSTEM)
+        passage.due(at_s * SECOND_NS, SYSTEM)
+    taken_s = [payload[0] for _, payload in tunnel.received]
+    assert taken_s == list(range(taken_s[0], 20)) and 8 <= taken_s[0] <= 12
+
+
 def test_an_older_autopilot_is_asked_by_the_older_name_and_none_for_ever(passage: Passage, tunnel: Tunnel) -> None:
     beat(passage)
     found = [names for at_s in range(100) if (names := asked(passage, at_s))]
