@@ -10,14 +10,16 @@ PYTEST_ARGS ?=
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test test-long test-bench test-arm64 lint types pytest fuzz bench clean
+.PHONY: help venv demo test test-long test-bench test-arm64 test-submission test-all lint types pytest fuzz bench clean
 
 help:
 	@echo "make demo    a short simulated flight, from pictures to clicked coordinates; pictures in out/demo"
 	@echo "make demo-web  the page of pc-ground web on that flight"
 	@echo "make web     only build that page (npm)"
 	@echo "make test    lint, types and all tests but the long ones"
-	@echo "make test-long  the long tests: many drawn flights, and soaks"
+	@echo "make test-long  a third of the long tests (many drawn flights, soaks) and those of changed packages; ALL=1: all"
+	@echo "make test-submission  after make test, what .ci/run runs: test-long, and test-bench and test-arm64 where they are concerned"
+	@echo "make test-all  every test there is"
 	@echo "make test-bench  the tests with a real V4L2 camera and a real systemd (docs/test-bench.md; root; 14 minutes to build once)"
 	@echo "make test-arm64  both Debian packages built and run, arm64 under emulation (qemu-user-static; 3 minutes)"
 	@echo "make lint    ruff: rules and format"
@@ -113,9 +115,10 @@ test: lint
 	$(MAKE) --no-print-directory pytest; tests=$$?; \
 	wait $$types || { echo "make types failed: its words are above, among the first of the tests" >&2; exit 1; }; \
 	exit $$tests
-	@echo "LEFT OUT: the tests marked long, many drawn flights and soaks. To run them: make test-long"
+	@echo "LEFT OUT: the tests marked long, many drawn flights and soaks. To run them: make test-long ALL=1"
 	@echo "LEFT OUT: tests/bench, with a real V4L2 camera and a real systemd. To run it: make test-bench"
 	@echo "LEFT OUT: tests/arm64, the Debian packages and the other architecture. To run it: make test-arm64"
+	@echo "What a submission runs of these: make test-submission. All of them: make test-all"
 
 # Kernel and images are built once and kept in $POINTCLICK_BENCH_CACHE (~/.cache/pointclick-bench).
 test-bench: $(INSTALLED)
@@ -170,8 +173,9 @@ gstreamer:
 # drawn are the other's too.
 # The order is ours (tests/costly_first.py), and not that of the most tests first. $(2) is what the exit codes of the
 # two may be; 5 is a run without any test.
+# POINTCLICK_LONG is what tests/submission.py chooses among the long ones.
 define run_tests
-	@POINTCLICK_TEST_FLIGHTS=$$(mktemp -d) || exit 1; export POINTCLICK_TEST_FLIGHTS; \
+	@export POINTCLICK_LONG=$(3); POINTCLICK_TEST_FLIGHTS=$$(mktemp -d) || exit 1; export POINTCLICK_TEST_FLIGHTS; \
 	trap 'rm -rf "$$POINTCLICK_TEST_FLIGHTS"' EXIT; trap 'exit 130' INT TERM; \
 	$(BIN)/python -m pytest -m "$(1) and not wall_clock" -n 3 --dist loadgroup --no-loadscope-reorder --durations=30 $(PYTEST_ARGS); parallel=$$?; \
 	$(BIN)/python -m pytest -m "$(1) and wall_clock" -n 3 --dist loadgroup --reruns 2 -rR --durations=30 $(PYTEST_ARGS); serial=$$?; \
@@ -188,7 +192,27 @@ pytest: $(INSTALLED) systemd-analyze c-header chromium gstreamer postgresql web
 
 # Many drawn flights, for a share or an error that one flight cannot show, and soaks.
 test-long: $(INSTALLED) systemd-analyze c-header chromium gstreamer postgresql web
-	$(call run_tests,long,"0 0" | "0 5" $(if $(PYTEST_ARGS),| "5 0"))
+	$(call run_tests,long,"0 0" | "0 5" $(if $(PYTEST_ARGS),| "5 0"),$(if $(ALL)$(PYTEST_ARGS),,chosen))
+
+# After `make test` on a submission: what tests/submission.py chooses. The bench mostly waits, and so runs next to the long
+# tests, whose time nobody measures; its output, and that of the packages, comes after theirs.
+test-submission: $(INSTALLED)
+	@$(BIN)/python -m tests.submission
+	@log=$$(mktemp); trap 'rm -f "$$log"' EXIT; \
+	{ failed=0; for part in bench arm64; do \
+		if $(BIN)/python -m tests.submission $$part; then $(MAKE) --no-print-directory test-$$part || failed=1; fi; \
+	done; exit $$failed; } >"$$log" 2>&1 & machines=$$!; \
+	nice -n 5 $(MAKE) --no-print-directory test-long; long=$$?; \
+	wait $$machines; machines=$$?; cat "$$log"; \
+	[ $$machines = 0 ] || echo "make test-submission: the bench or the packages failed: their words are above" >&2; \
+	[ $$long = 0 ] || echo "make test-submission: the long tests failed: their words are above those of the bench" >&2; \
+	[ "$$long $$machines" = "0 0" ]
+
+test-all:
+	@$(MAKE) --no-print-directory test
+	@$(MAKE) --no-print-directory test-long ALL=1
+	@$(MAKE) --no-print-directory test-bench
+	@$(MAKE) --no-print-directory test-arm64
 
 fuzz: $(INSTALLED)
 	@$(BIN)/python -m tests.fuzz.payloads 1000000

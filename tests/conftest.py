@@ -5,12 +5,10 @@ from __future__ import annotations
 import os
 import shutil
 import signal
-from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from itertools import combinations
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 import pytest
 from _pytest.mark.expression import Expression
@@ -21,6 +19,7 @@ from tests.costly_first import COSTLY_FIRST
 from tests.flights_folder import FLIGHTS_VARIABLE
 from tests.left_out import LEFT_OUT, NO_PROGRAM
 from tests.limits import limit
+from tests.long_tests import register
 
 # Before anything imports NumPy or OpenCV: several tests run side by side, and one thread each gives the same bytes
 # everywhere.
@@ -86,8 +85,8 @@ def pytest_configure(config: pytest.Config) -> None:
     So it is with the ground they fly over, for programs that tests start, too. `make pytest` names a folder for both of
     its runs.
     """
-    if "not long" in config.option.markexpr and may_be_chosen(config.option.markexpr, ""):
-        config.pluginmanager.register(LongTests(config))  # every file is looked at
+    expression = config.option.markexpr
+    register(config, "not long" in expression and may_be_chosen(expression, ""))  # then every file is looked at
     if not hasattr(config, "workerinput"):
         from simulation.kept_drawings import FOLDER_VARIABLE  # noqa: PLC0415  NumPy, not before the variables above
 
@@ -160,33 +159,6 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
         return None
     text = collection_path.read_text(encoding="utf-8")
     return None if may_be_chosen(config.option.markexpr, text) else True
-
-
-class LongTests:
-    """How many tests marked `long` a run leaves out, by file. Of workers the first reports: each collects all tests."""
-
-    def __init__(self, config: pytest.Config) -> None:
-        self._config = config
-        self._left_out: Counter[str] = Counter()
-
-    def pytest_deselected(self, items: Sequence[pytest.Item]) -> None:
-        long = [item for item in items if item.get_closest_marker("long")]
-        self._left_out.update(str(item.path.relative_to(CHECKOUT)) for item in long)
-
-    def pytest_sessionfinish(self) -> None:
-        if hasattr(self._config, "workeroutput"):
-            self._config.workeroutput["long"] = dict(self._left_out)
-
-    @pytest.hookimpl(optionalhook=True)
-    def pytest_testnodedown(self, node: Any) -> None:
-        self._left_out = self._left_out or Counter(getattr(node, "workeroutput", {}).get("long", {}))
-
-    def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
-        if self._left_out:
-            terminalreporter.section(f"{self._left_out.total()} LONG TESTS LEFT OUT", sep="!", red=True, bold=True)
-            terminalreporter.line("To run them: make test-long")
-            for file, count in sorted(self._left_out.items()):
-                terminalreporter.line(f"  {file}: {count}")
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

@@ -2,3 +2,4 @@
 
 LEFT_OUT = "left out: no recordings at"
 NO_PROGRAM = "left out: no program"
+NO_TIME = "left out: no time in this run; make test-long ALL=1"

@@ -81,6 +81,28 @@ def test_a_failure_or_a_lost_marker_fails_the_long_run(tmp_path: Path, parallel:
     assert make_pytest(tmp_path, parallel, serial, target="test-long")[0] != 0
 
 
+@pytest.mark.parametrize(("parallel", "serial", "is_well"), [(0, 0, True), (1, 0, False), (0, 1, False)])
+def test_a_submission_runs_long_tests_bench_and_packages_and_each_may_fail_it(
+    tmp_path: Path, parallel: int, serial: int, is_well: bool
+) -> None:
+    """Of the fake's codes the bench and the packages end with the second."""
+    code, calls, _ = make_pytest(tmp_path, parallel, serial, target="test-submission")
+    assert (code == 0) is is_well
+    assert [sum(words in call for call in calls) for words in ("long and", "tests/bench", "tests/arm64")] == [2, 1, 1]
+
+
+@pytest.mark.parametrize(
+    ("words", "chosen"),
+    [("", "chosen"), ("ALL=1", ""), ("PYTEST_ARGS=-kclick", "")],
+    ids=["all by turns", "ALL", "args"],
+)
+def test_the_long_run_chooses_but_where_all_or_some_are_asked_for(words: str, chosen: str) -> None:
+    shown = subprocess.run(
+        ["make", "-n", "test-long", *words.split()], cwd=ROOT, capture_output=True, text=True, check=True, timeout=30
+    ).stdout
+    assert f"export POINTCLICK_LONG={chosen};" in shown
+
+
 def test_make_test_reports_the_long_tests_that_it_leaves_out(tmp_path: Path) -> None:
     assert "LEFT OUT: the tests marked long" in make_pytest(tmp_path, 0, 0, target="test")[2]
 
@@ -110,8 +132,8 @@ def test_a_run_names_the_files_whose_long_tests_it_leaves_out(workers: int) -> N
     assert "test_fusion.py: 6" in without_long_tests(workers)
 
 
-def test_what_runs_on_a_submission_includes_the_long_tests() -> None:
-    assert {"make test", "make test-long"} <= set((ROOT / ".ci" / "run").read_text().splitlines())
+def test_what_runs_on_a_submission_is_all_that_is_quick_and_what_is_chosen_of_the_rest() -> None:
+    assert {"make test", "make test-submission"} <= set((ROOT / ".ci" / "run").read_text().splitlines())
 
 
 @pytest.mark.parametrize(("parallel", "serial"), [(1, 0), (0, 1), (5, 0), (0, 5), (5, 5), (2, 5), (5, 2)])
