@@ -101,10 +101,12 @@ class PlaneFilter:
         self._x[:, :2] -= way_m
 
     def forget_place(self, slant: Array, noise: Array) -> None:
-        """As `new_landmark`, where the old one was lost: the way is known no more, the velocity is."""
-        rest = -slant[:, None] * self._P[:, 4, None, 2:]  # what it shares with velocity and height: it is seen less h s
+        """(24.15) where the old landmark was lost: the thing is seen at 0, so that its way is -h s; velocity and height
+        stay what they are.
+        """
+        rest = -slant[:, None] * self._P[:, 4, None, 2:]  # what the way shares with velocity and height
         own = self._scale[:, None, None] * noise + np.outer(slant, slant) * self._P[:, 4, 4, None, None]
-        self._x[:, :2] = 0.0
+        self._x[:, :2] = -self._x[:, 4:] * slant
         self._P[:, :2, :2] = own
         self._P[:, :2, 2:], self._P[:, 2:, :2] = rest, rest.transpose(0, 2, 1)
 

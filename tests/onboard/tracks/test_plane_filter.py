@@ -10,6 +10,7 @@ from tests.rest_long import rest_long
 
 NOISE_M = 0.05
 HEIGHT_M, FLIGHT_M_S = 120.0, 15.0
+ORBIT_SLANT = 0.8  # the radius of the circle of a camera about a thing, over the height
 DT = 0.1
 
 
@@ -21,12 +22,14 @@ def run(
     density: float = 0.0,
     height_m: float = 0.0,
     declared: float = 1.0,
+    lost_at_s: tuple[float, ...] = (),
+    circles: bool = False,
 ) -> tuple[Motion, np.ndarray]:
     """The filter's motion after so long, and the true velocity then. The camera flies over it at FLIGHT_M_S east.
 
-    `declared`: the sigma that the filter is given over the true one.
+    `declared`: the sigma that the filter is given over the true one; `lost_at_s`: when the landmark is lost.
     """
-    slant = np.array([-0.3, 0.1])
+    slant = np.array([0.0, ORBIT_SLANT] if circles else [-0.3, 0.1])
     noise = (declared * NOISE_M) ** 2 * np.eye(2)
     place, v = np.zeros(2), velocity.copy()
     found = PlaneFilter(slant, noise)
@@ -34,13 +37,22 @@ def run(
     for k in range(1, round(seconds / DT) + 1):
         v = v + np.sqrt(density * DT) * rng.standard_normal(2)
         place = place + v * DT
-        slant = slant + np.array([-FLIGHT_M_S / HEIGHT_M * DT, 0.0])
-        way = place + height_m * slant + NOISE_M * rng.standard_normal(2) - landmark
+        if circles:
+            turned = FLIGHT_M_S / (ORBIT_SLANT * HEIGHT_M) * k * DT
+            slant = ORBIT_SLANT * np.array([-np.sin(turned), np.cos(turned)])
+        else:
+            slant = slant + np.array([-FLIGHT_M_S / HEIGHT_M * DT, 0.0])
+        seen = place + height_m * slant + NOISE_M * rng.standard_normal(2)
         found.predict(DT, 0.1)
+        if any(abs(k * DT - at_s) < 0.5 * DT for at_s in lost_at_s):
+            found.forget_place(slant, noise)
+            landmark = seen
+            continue
+        way = seen - landmark
         assert found.update(way, slant, noise, DT)
         if k % 20 == 0:
             found.new_landmark(way)
-            landmark = landmark + way
+            landmark = seen
     return found.motion, v
 
 
@@ -80,6 +92,24 @@ def test_a_measurement_that_is_better_than_declared_gives_a_speed_that_is(declar
             ]
         )
     )
+
+
+@pytest.mark.parametrize("height_m", [0.0, 1.2, -1.2])
+def test_a_thing_at_rest_stays_at_rest_when_the_ground_that_ways_count_from_is_lost(height_m: float) -> None:
+    """The place begins again at -h s (24.15): begun at zero, the height that a circling camera has learned by then
+    became a speed.
+    """
+    speeds, squared = [], []
+    for lost_at_s in ((), (7.5,), (7.0, 7.5)):
+        generators = (np.random.default_rng([seed, 9]) for seed in range(20))
+        motions = [
+            run(rng, np.zeros(2), 8.1, height_m=height_m, lost_at_s=lost_at_s, circles=True)[0] for rng in generators
+        ]
+        speeds.append(float(np.median([motion.speed_m_s for motion in motions])))
+        squared += [float(m.velocity_m_s @ np.linalg.solve(m.cov, m.velocity_m_s)) for m in motions]
+        assert not any(motion.is_moving for motion in motions)
+    assert max(speeds[1:]) < 1.3 * speeds[0] + 0.01
+    assert 0.1 < float(np.mean(squared)) < 2.6
 
 
 @pytest.mark.parametrize("seed", range(5))
