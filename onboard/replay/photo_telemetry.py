@@ -13,12 +13,11 @@ from onboard.camera.photo_metadata import PhotoMetadata
 from onboard.config.schema import Config
 from onboard.events.types import Attitude, GimbalAttitude, GpsQuality, PositionFix
 from onboard.telemetry.srt_reader import SIGMA_PRESSURE_HEIGHT_M
-from onboard.telemetry.telemetry_log import TelemetryLog, quaternion, vouched
+from onboard.telemetry.telemetry_log import MAX_GAP_S, TelemetryLog, quaternion, vouched
 
 # A receiver's height counts from an unsaid geoid; with RTK from the ellipsoid, which lies within tens of metres of the
 # sea in most places. A drone's barometer gives a height in the standard atmosphere, see `srt_reader`.
 SIGMA_AMSL_M, SIGMA_GEOID_M = 20.0, 40.0
-MAX_GAP_S = 10.0  # what the configuration takes
 STEP_S = 0.1  # in what is asked for, so that it reads well
 
 

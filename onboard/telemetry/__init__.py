@@ -9,5 +9,5 @@ Public:
 - `log_files`: `read_log`
 - `srt_axis_order`: `Order`
 - `srt_reader`: `SIGMA_PRESSURE_HEIGHT_M`
-- `telemetry_log`: `TelemetryLog`, `quaternion`, `vouched`
+- `telemetry_log`: `MAX_GAP_S`, `TelemetryLog`, `quaternion`, `vouched`
 """

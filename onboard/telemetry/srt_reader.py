@@ -18,6 +18,7 @@ import re
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import TypeGuard
 
 from contract.errors import InputError
 from onboard.events.types import Attitude, GimbalAttitude, GpsQuality, NavEvent, PositionFix
@@ -31,7 +32,7 @@ from onboard.telemetry.srt_axis_order import (
 )
 from onboard.telemetry.telemetry_log import TelemetryLog, quaternion, vouched
 
-_NUMBER = r"([+-]?\d+(?:\.\d+)?)"
+_NUMBER = r"([+-]?\d{1,9}(?!\d)(?:\.\d+)?)"
 _INTERVAL = re.compile(r"(\d+):(\d\d):(\d\d)[,.](\d{1,3})\s*-->\s*\d+:\d\d:\d\d[,.]\d{1,3}")
 _DATE = re.compile(
     r"(?<!\d)(\d{4})[-./](\d{1,2})[-./](\d{1,2})[ T]+(\d{1,2}):(\d{2}):(\d{2})(?:[.,](\d{3})(?:[.,](\d{3}))?)?"
@@ -59,6 +60,8 @@ EMPTY_EPOCH_NS = 946_684_800_000_000_000  # of a log without any date: 2000-01-0
 # which.
 SIGMA_PRESSURE_HEIGHT_M, SIGMA_UNSAID_M = 100.0, 300.0
 EIS_OFF = {"close", "closed", "off", "none", "0"}
+MAX_HEIGHT_M = 1e5
+HOURS_DIGITS = 2  # of a video's own time: what has more is damaged
 DZOOM_SCALE, MAX_DZOOM = 10_000.0, 100.0  # older models write 10000 for 1.0
 
 
@@ -134,6 +137,8 @@ def _subtitles(text: str) -> list[_Subtitle]:
     out = []
     for match, end in zip(found, ends, strict=True):
         hours, minutes, seconds, fraction = match.groups()
+        if len(hours) > HOURS_DIGITS:
+            continue
         whole = (int(hours) * 60 + int(minutes)) * 60 + int(seconds)
         at_ns = whole * 1_000_000_000 + int(fraction.ljust(3, "0")) * 1_000_000
         out.append(_subtitle(at_ns, _TAG.sub(" ", text[match.end() : end])))
@@ -306,7 +311,7 @@ def _positions(
     for subtitle in placed:
         stamp_ns = epoch_ns + subtitle.at_ns
         amsl_m, above_m, datum_m = _height(subtitle, home_amsl_m)
-        if amsl_m is None or subtitle.lat_deg is None or subtitle.lon_deg is None:
+        if amsl_m is None or abs(amsl_m) > MAX_HEIGHT_M or subtitle.lat_deg is None or subtitle.lon_deg is None:
             continue
         fix = PositionFix(stamp_ns, subtitle.lat_deg, subtitle.lon_deg, amsl_m, None, above_m)
         if positions:
@@ -331,11 +336,15 @@ def _height(subtitle: _Subtitle, home_amsl_m: float | None) -> tuple[float | Non
     return subtitle.altitude_m, above_m, SIGMA_UNSAID_M
 
 
+def _is_an_attitude(angles_deg: tuple[float, float, float] | None) -> TypeGuard[tuple[float, float, float]]:
+    return angles_deg is not None and max(map(abs, angles_deg)) <= 360.0
+
+
 def _attitudes(subtitle: _Subtitle, epoch_ns: int) -> list[NavEvent]:
     stamp_ns = epoch_ns + subtitle.at_ns
     out: list[NavEvent] = []
-    if subtitle.body_deg is not None:
+    if _is_an_attitude(subtitle.body_deg):
         out.append(Attitude(stamp_ns, quaternion(subtitle.body_deg)))
-    if subtitle.gimbal_deg is not None:
+    if _is_an_attitude(subtitle.gimbal_deg):
         out.append(GimbalAttitude(stamp_ns, quaternion(subtitle.gimbal_deg), "earth", is_of_camera=True))
     return out

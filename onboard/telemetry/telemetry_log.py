@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import bisect
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -18,6 +17,7 @@ Array = NDArray[np.float64]
 NS_PER_S = 1_000_000_000
 # Of reports on positions that stand in a file: often enough for `gps.quality_timeout_s` at its least.
 REPORT_NS = 400_000_000
+MAX_GAP_S = 10.0  # positions farther apart are joined by no configuration
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,14 +57,20 @@ def vouched(positions: list[PositionFix], claims: list[GpsQuality]) -> list[NavE
     """Positions (in order of time) of a file that has no receiver's and no filter's reports, with such as it implies.
 
     A position in the file means that there was a fix then. `claims` are what the file states about its accuracy, one a
-    position, with any stamp; each is repeated until the next position, as a receiver would.
+    position, with any stamp; each is repeated until the next position, as a receiver would, but not across a gap, where
+    a row with a wrong date would make a month of reports.
     """
-    first_ns, last_ns = positions[0].stamp_ns, positions[-1].stamp_ns
-    stamps_ns = [fix.stamp_ns for fix in positions]
+    first_ns = positions[0].stamp_ns
     out: list[NavEvent] = [FilterStatus(first_ns - REPORT_NS, has_position=True, is_glitching=False), *positions]
-    for moment_ns in range(first_ns - REPORT_NS, last_ns + NS_PER_S, REPORT_NS):
-        newest = max(bisect.bisect_right(stamps_ns, moment_ns) - 1, 0)
-        out.append(replace(claims[newest], stamp_ns=moment_ns))
+    stamps_ns = np.array([fix.stamp_ns for fix in positions])
+    ends = [*np.flatnonzero(np.diff(stamps_ns) > MAX_GAP_S * NS_PER_S).tolist(), len(positions) - 1]
+    first = 0
+    for last in ends:
+        moments_ns = np.arange(stamps_ns[first] - REPORT_NS, stamps_ns[last] + NS_PER_S, REPORT_NS)
+        newest = np.maximum(np.searchsorted(stamps_ns, moments_ns, side="right") - 1, first)
+        pairs = zip(newest.tolist(), moments_ns.tolist(), strict=True)
+        out += [replace(claims[at], stamp_ns=moment_ns) for at, moment_ns in pairs]
+        first = last + 1
     return out
 
 

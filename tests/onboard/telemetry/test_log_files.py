@@ -391,3 +391,44 @@ def test_a_column_that_is_not_known_is_named_and_not_left_out(tmp_path: Path) ->
 def test_a_truth_table_of_the_recordings_is_telemetry_as_it_stands() -> None:
     log = read_log(Path(__file__).parents[2] / "data" / "plane_turn.truth.csv")
     assert len(of(log, PositionFix)) == len(of(log, Attitude)) > 500
+
+
+WRONG_DATES = {
+    "a row that is thirty days early": [(-30 * 86_400.0, 1)],
+    "a battery change": [(600.0, 50)],
+    "rows that are hours apart": [(3600.0 * hour, 1) for hour in range(1, 200)],
+}
+
+
+@pytest.mark.parametrize("others", WRONG_DATES.values(), ids=WRONG_DATES)
+def test_nothing_is_claimed_across_a_gap_of_time(tmp_path: Path, others: list[tuple[float, int]]) -> None:
+    """A claim every 0.4 s across one wrong date were 6.5 million events."""
+    starts = [(0.0, 100), *others]
+    rows = [(1.7e9 + start_s + 0.2 * k, start_s, 1.0 + i) for i, (start_s, n) in enumerate(starts) for k in range(n)]
+    lines = [f"{at:.3f},47.1,8.2,500.0,{sigma_m}" for at, _, sigma_m in rows]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(["unix_time_s,lat_deg,lon_deg,height_amsl_m,sigma_horizontal_m", *lines]))
+    log = read_log(path)
+    assert len(of(log, PositionFix)) == len(rows)
+    claims = of(log, GpsQuality)
+    assert len(claims) < len(rows) + 5 * len(starts)
+    for at, _, sigma_m in rows:  # and each position has its own, as new as a receiver's
+        newest = [claim for claim in claims if claim.stamp_ns <= round(at * 1e9)][-1]
+        assert at * 1e9 - newest.stamp_ns < 0.41e9 and newest.sigma_horizontal_m in (sigma_m, None)
+    assert all(min(abs(claim.stamp_ns / 1e9 - at) for at, _, _ in rows) < 1.0 for claim in claims)
+
+
+@pytest.mark.parametrize("hours", ["123456", "9" * 400, "9" * 5000])
+def test_a_damaged_time_or_number_of_a_subtitle_is_left_out_in_no_time(tmp_path: Path, hours: str) -> None:
+    """Some 400 bytes with such an hour had no end."""
+    good = "00:00:0{0},000 --> 00:00:0{1},000\n[latitude: 47.1] [longitude: 8.2] [rel_alt: 30.1 abs_alt: {2}]\n\n"
+    path = tmp_path / "a.srt"
+    path.write_text(
+        good.format(0, 1, "500.0")
+        + good.format(2, 3, hours).replace("rel_alt: 30.1", f"rel_alt: {hours} gb_yaw: {hours} gb_pitch: 1 gb_roll: 1")
+        + good.format(4, 5, "501.0").replace("00:00:04", f"{hours}:00:04")
+        + good.format(6, 7, "502.0")
+    )
+    log = read_log(path)
+    assert [fix.height_amsl_m for fix in of(log, PositionFix)] == [500.0, 502.0] and len(log.events) < 40
+    assert not of(log, GimbalAttitude)
