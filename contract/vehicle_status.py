@@ -39,6 +39,7 @@ class VehicleStatus:
     lost: int = 0  # pictures, by the camera
     recording: bool = False
     cpu_c: float | None = None  # its temperature
+    follows: bool = False  # whether it follows what it is asked to (`contract.track`)
     # Of a click's variance in the middle of the newest picture, per cent by code (`contract.error_sources`); the
     # largest, or none while they are not known.
     shares: Mapping[str, int] = field(default_factory=dict)
@@ -59,6 +60,8 @@ def encode_status(status: VehicleStatus) -> bytes:
         content["shares"] = dict(list(status.shares.items())[:MAX_SHARES])
     else:
         del content["shares"]
+    if not status.follows:
+        del content["follows"]
     if status.cpu_c is None:
         del content["cpu_c"]
     else:

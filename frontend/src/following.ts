@@ -23,14 +23,20 @@ export class Following {
   /** A click was answered, with a place or without: it may be followed. */
   clicked(body: ClickBody): void {
     this.last = body;
-    if (!this.state.mayChange || this.state.server?.is_live !== true) return;
+    if (!this.state.mayChange || this.unfollowed(body) !== "") return; // the key G states why
     const button = make("button", { type: "button", class: "follow-it", "data-testid": "follow-it", title: "the aircraft follows what was clicked (G)", click: () => void this.begin() }, "Follow it");
     byId("answer").append(button);
+  }
+
+  private unfollowed(body: ClickBody): string {
+    return this.state.vehicles.find((vehicle) => vehicle.id === body.vehicle)?.unfollowed ?? "no aircraft of that name is known";
   }
 
   async begin(): Promise<void> {
     const body = this.last;
     if (body === null) { this.show("Click what is to be followed first.", "note"); return; }
+    const reason = this.unfollowed(body);
+    if (reason !== "") { this.show(`Not followed: ${reason}.`, "refused"); return; }
     if (this.isAsking) return;
     this.isAsking = true;
     this.show("Asking the aircraft to follow it ...", "note");

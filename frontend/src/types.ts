@@ -56,6 +56,7 @@ export interface VehicleState {
   features: number; tracks: number | null; ce90_centre_m: number | null; cpu_c: number | null;
   clock_unix_ns: string | null; place: [number, number] | null;
   recording: boolean | null; trouble: string;
+  unfollowed: string; // why it follows nothing that is clicked; empty: it may be asked
   radius: string; // what the ellipse is mostly from, and what would make it smaller; empty: not known
 }
 

@@ -10,7 +10,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-from contract.errors import PointclickError
+from contract.errors import InputError, PointclickError
 from contract.fleet import FLEET_FILE, ROLES, Fleet, read_fleet
 from ground.commands import ANSWERED
 from ground.commands.until_ended import until_ended
@@ -30,8 +30,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--config",
         metavar="FILE",
         type=Path,
-        required=True,
-        help=f"who may do what: {FLEET_FILE} next to the certificates (make-credentials); read again when it changes",
+        default=Path(FLEET_FILE),
+        help=f"who may do what, or the folder with it: {FLEET_FILE} next to the certificates (make-credentials), by "
+        "default in this folder; read again when it changes",
     )
     parser.add_argument(
         "--listen", metavar="ENDPOINT", action="append", help="tls/ADDRESS:PORT, in place of the file's; repeatable"
@@ -45,9 +46,14 @@ def run(args: argparse.Namespace) -> int:
     """Route until interrupted. Raises PointclickError."""
     from ground.router import Router, router_config  # noqa: PLC0415  zenoh is loaded only where there is a link
 
-    listed = ListOfFile(args.config, args.listen)
+    path = args.config / FLEET_FILE if args.config.is_dir() else args.config
+    if not path.is_file():
+        raise InputError(
+            f"{path}: no such list of who may do what: name it with --config; pc-onboard make-credentials writes one"
+        )
+    listed = ListOfFile(path, args.listen)
     fleet = listed.read()
-    folder = args.config.parent
+    folder = path.parent
     if args.print_zenohd_config:
         print(json.dumps(router_config(fleet, folder), indent=2))
         return ANSWERED
@@ -59,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
                 changed = listed.changed()
                 if changed is not None and changed != router.fleet:
                     router.replace(changed)
-                    print(f"pc-ground router: {args.config} read again; {in_a_line(changed)}", flush=True)
+                    print(f"pc-ground router: {path} read again; {in_a_line(changed)}", flush=True)
             except PointclickError as error:
                 print(f"pc-ground router: warning: {error}; the list from before stays", file=sys.stderr, flush=True)
     return ANSWERED

@@ -173,6 +173,7 @@ def vehicle_json(context: ServerContext, vehicle: str) -> dict[str, Any]:
         "cpu_c": None if status is None else status.cpu_c,
         "recording": None if status is None else status.recording,
         "trouble": report.trouble,
+        "unfollowed": context.source.unfollowed(vehicle),
         "radius": "" if status is None else in_a_line(status.fractions),
     }
 

@@ -6,6 +6,7 @@ An aircraft that may send pictures of its keyframes does so while this listens.
 from __future__ import annotations
 
 import contextlib
+import math
 import threading
 import time
 from bisect import bisect_left
@@ -23,7 +24,7 @@ from contract.topics import ANY_VEHICLE, PICTURE, SPOTS, STATUS, TRACKS
 from contract.track import TrackRequest
 from contract.vehicle_status import VehicleStatus
 from contract.wire.message import read_set, read_status
-from ground.client import SetCache, inquire
+from ground.client import PICTURE_TIMEOUT_S, SetCache, inquire
 from ground.link_pictures import PictureCache
 from ground.mavlink_endpoint import SCHEME
 from ground.spots.received import ReceivedSpots
@@ -40,6 +41,7 @@ KEPT_KEYS = "pc/*/*"  # of the journal: all that any vehicle sends
 MAX_VEHICLES = 64  # of which anything is kept: a peer may publish under any number of names
 ASKED_KEPT = 64  # sets that were asked for, since they had not come by themselves
 ASK_AGAIN_S = 2.0
+ASKED_WITHIN_S = PICTURE_TIMEOUT_S + 2.0  # that another's question takes, with the opening of its session
 SILENT_SETS = 30  # without a picture among them, before it is reported
 
 
@@ -72,6 +74,7 @@ class LiveSource:
         self._tls = tls
         self._lock = threading.Lock()
         self._received: dict[str, _Received] = {}
+        self._under_way: dict[tuple[str, int], threading.Event] = {}  # questions, until each has its answer
         self._asked: OrderedDict[tuple[str, int], tuple[float, FeatureSet | None]] = OrderedDict()
         self._caches: dict[str, SetCache] = {}
         self._pictures = PictureCache()
@@ -170,13 +173,26 @@ class LiveSource:
             "" if cache is None else cache.link_error,
         )
 
-    def follow(self, vehicle: str, request: TrackRequest) -> dict[str, object]:
-        """Asked of the aircraft, at the endpoint where it is received best."""
+    def unfollowed(self, vehicle: str) -> str:
+        """By which way it is received, and what it reports of itself."""
         endpoint, cache = self._of(vehicle)
         if cache is None:
-            raise LinkError(f"no vehicle {vehicle!r} is known here")
+            return f"no vehicle {vehicle!r} is known here"
         if endpoint.startswith(SCHEME):
-            raise LinkError("nothing can be followed through the autopilot's radio")
+            return "nothing can be followed through the autopilot's radio"
+        with self._lock:
+            known = self._received.get(vehicle)
+        if known is not None and known.status is not None and not known.status.follows:
+            return (
+                f"{vehicle} does not follow things: for its next flight set tracks.enabled = true in its configuration"
+            )
+        return ""
+
+    def follow(self, vehicle: str, request: TrackRequest) -> dict[str, object]:
+        """Asked of the aircraft, at the endpoint where it is received best."""
+        if reason := self.unfollowed(vehicle):
+            raise LinkError(reason)
+        endpoint, _ = self._of(vehicle)
         with TrackLink(endpoint, vehicle, self._tls) as link:
             return link.ask(request)
 
@@ -318,21 +334,32 @@ class LiveSource:
         return self._received.get(vehicle)
 
     def _ask(self, endpoint: str, vehicle: str, frame: int) -> FeatureSet | None:
-        """The aircraft's own set of a frame; what it does not have is not asked for again at once."""
-        key, now_s = (vehicle, frame), time.monotonic()
+        """The aircraft's own set of a frame; what it does not have is not asked for again at once.
+
+        One question for a picture is under way at a time, and whoever else wants it gets the same answer.
+        """
+        key = (vehicle, frame)
         with self._lock:
-            at_s, found = self._asked.get(key, (0.0, None))
-            if found is not None or (now_s - at_s < ASK_AGAIN_S and key in self._asked):
+            at_s, found = self._asked.get(key, (-math.inf, None))
+            if found is not None or time.monotonic() - at_s < ASK_AGAIN_S:
                 return found
-            self._asked[key] = now_s, None
-            while len(self._asked) > ASKED_KEPT:
-                self._asked.popitem(last=False)
+            under_way = self._under_way.get(key)
+            if under_way is None:
+                answered = self._under_way[key] = threading.Event()
+        if under_way is not None:
+            under_way.wait(ASKED_WITHIN_S)
+            with self._lock:
+                return self._asked.get(key, (0.0, None))[1]
         try:
             reply = inquire(endpoint, vehicle, frame=frame, tls=self._tls).get(vehicle)
+            found = reply.answer if reply is not None and isinstance(reply.answer, FeatureSet) else None
         except (LinkError, WireError):
-            return None
-        if reply is None or not isinstance(reply.answer, FeatureSet):
-            return None
-        with self._lock:
-            self._asked[key] = now_s, reply.answer
-        return reply.answer
+            found = None
+        finally:
+            with self._lock:
+                self._asked[key] = time.monotonic(), found
+                while len(self._asked) > ASKED_KEPT:
+                    self._asked.popitem(last=False)
+                del self._under_way[key]
+            answered.set()
+        return found

@@ -23,6 +23,7 @@ EXAMPLES = """examples:
   pc-ground open DJI_0042.MP4                        with DJI_0042.SRT next to it, or the only log in the folder
   pc-ground open GX010042.MP4 00000042.BIN --set camera.fov_deg=69 --set mount.pitch_deg=-45
   pc-ground open PHOTOS/                             by the positions in the photographs, or a log next to them
+  pc-ground open FLIGHT/                             pictures below it (frames/, DCIM/100MEDIA), and its log
   pc-ground open SESSION.mcap
 
 A flight is replayed once: opened again, it is there at once. What was guessed of camera and mount is listed; --set
@@ -32,6 +33,8 @@ SESSION = ".mcap"
 PICTURES = "recording.pictures"
 UNKNOWN = "NOT KNOWN"  # in the list that an import prints, of values that were assumed with a wide sigma
 DONE, NOTHING_SOLVED = 0, 3
+PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
+VIDEO_SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".ts", ".webm")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -63,6 +66,7 @@ def run(args: argparse.Namespace) -> int:
     if is_session(args.input):
         session, video = args.input, args.log
     else:
+        args.input = _video_in(args.input) or args.input
         code, session = _replayed(args)
         if code != DONE:
             return code
@@ -74,6 +78,25 @@ def run(args: argparse.Namespace) -> int:
 def is_session(path: Path) -> bool:
     """A recording, or a folder with one."""
     return path.suffix.lower() == SESSION or (path.is_dir() and any(path.glob(f"*{SESSION}")))
+
+
+def _video_in(path: Path) -> Path | None:
+    """The only video of a folder without pictures; of a folder with pictures they are the flight. Raises InputError."""
+    if not path.is_dir():
+        return None
+    files = _files_below(path)
+    videos = [file for file in files if file.suffix.lower() in VIDEO_SUFFIXES]
+    if not videos or any(file.suffix.lower() in PICTURE_SUFFIXES for file in files):
+        return None
+    if len(videos) > 1:
+        raise InputError(f"{path}: {len(videos)} videos in it, {', '.join(str(v) for v in videos[:4])}: name one")
+    return videos[0]
+
+
+def _files_below(folder: Path) -> list[Path]:
+    """All files in a folder and below it, without hidden ones."""
+    found = (path for path in folder.rglob("*") if not any(p.startswith(".") for p in path.relative_to(folder).parts))
+    return sorted(path for path in found if path.is_file())
 
 
 def _replayed(args: argparse.Namespace) -> tuple[int, Path]:
@@ -126,7 +149,7 @@ def _name(args: argparse.Namespace, importing: Sequence[str]) -> str:
     """Of the flight's folder: another for other files or settings."""
     files = [args.input, *([args.log] if args.log is not None else [])]
     if args.input.is_dir():
-        files += sorted(args.input.iterdir())
+        files += _files_below(args.input)
     elif args.log is None:
         files += sorted(args.input.resolve().parent.iterdir())
     stats = [(str(path), path.stat().st_size, path.stat().st_mtime_ns) for path in files if path.is_file()]

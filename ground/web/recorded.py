@@ -92,12 +92,16 @@ class RecordedSource:
         status = self._pictures.status(vehicle)
         return VehicleReport(vehicle, self._sessions[vehicle], newest[0], 0.0, None, None, None, status)
 
-    def follow(self, vehicle: str, request: TrackRequest) -> dict[str, object]:
+    def unfollowed(self, vehicle: str) -> str:
         """Nothing can be followed in a recording; what was followed in flight is there."""
-        raise LinkError(
+        return (
             "a recording: what was followed in flight is shown; to follow more in its pictures: "
             "pc-onboard replay SESSION.mcap --track FRAME,U,V"
         )
+
+    def follow(self, vehicle: str, request: TrackRequest) -> dict[str, object]:
+        """Raises LinkError, always."""
+        raise LinkError(self.unfollowed(vehicle))
 
     def damage(self) -> list[str]:
         """Where a file is damaged, and the sets that cannot be read."""

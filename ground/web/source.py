@@ -85,6 +85,9 @@ class Source(Protocol):
     def report(self, vehicle: str) -> VehicleReport:
         """How a vehicle is."""
 
+    def unfollowed(self, vehicle: str) -> str:
+        """Why nothing that is clicked can be followed by a vehicle now; empty where it may be asked."""
+
     def follow(self, vehicle: str, request: TrackRequest) -> dict[str, object]:
         """What a vehicle answers to a question about tracks. Raises LinkError with its reason, or if it gives none."""
 

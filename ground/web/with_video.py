@@ -80,6 +80,10 @@ class WithVideo:
         """The other's."""
         return self._inner.report(vehicle)
 
+    def unfollowed(self, vehicle: str) -> str:
+        """The other's."""
+        return self._inner.unfollowed(vehicle)
+
     def follow(self, vehicle: str, request: TrackRequest) -> dict[str, object]:
         """The other's."""
         return self._inner.follow(vehicle, request)

@@ -14,20 +14,22 @@ from pathlib import Path
 
 from contract.errors import InputError
 from contract.geodesy import LocalFrame
-from onboard.camera.file_stamps import spread_within_seconds, stamp_from_name
+from onboard.camera.file_stamps import read_stamps, spread_within_seconds, stamp_from_name
 from onboard.camera.photo_metadata import Focal, PhotoMetadata, read_photo
 from onboard.camera.picture_files import PICTURE_SUFFIXES
 from onboard.camera.rig_bands import one_band
+from onboard.commands.flight_folder import LOG_SUFFIXES, log_of, next_to, picture_folder
 from onboard.commands.imported_flight import (
     SIGMA_GIMBAL_DEG,
     SIGMA_MOUNT_DEG,
     ImportedFlight,
+    Optics,
     Row,
     check_out,
-    log_in_folder,
     mount_by_log,
     optics_of,
     rolling_shutter,
+    sections_of,
     settings_of,
     system_of,
 )
@@ -37,6 +39,7 @@ from onboard.telemetry.log_files import read_log
 from onboard.telemetry.telemetry_log import TelemetryLog
 
 MIN_PHOTOS = 3
+STAMPS, CONFIG = "stamps.csv", "config.toml"  # of a flight's folder, next to its pictures or above them
 SIGMA_READOUT_S = 0.003  # of a line's time that a picture states, times its rows
 SIGMA_TAG_S = 0.1  # of the moment of a tagged position: receivers give five to ten a second
 WHOLE_SECOND_S = 0.29  # evenly within a second
@@ -65,25 +68,26 @@ class _Times:
 def run(arguments: argparse.Namespace) -> int:
     """Make the flight and print what was assumed. Everything is read and checked before anything is written."""
     settings = settings_of(arguments.set)
-    photos, rig = one_band(_photos(arguments.folder))
+    folder = picture_folder(arguments.folder)
+    photos, rig = one_band(_photos(folder))
     out: Path = arguments.out
     check_out(out)
-    photos, times = _in_order(photos, arguments.utc_offset)
-    optics = optics_of(photos[0].size_px, _focal(photos), arguments.folder, settings)
-    log_path, log = _log(arguments, photos, times)
-    sections, assumed = _by_photos(photos, times) if log is None else _by_log(log, times)
-    if photos[0].readout_s is not None:
-        readout = {"readout_s": f"{photos[0].readout_s:.4f}", "sigma_readout_s": f"{SIGMA_READOUT_S}"}
-        sections.setdefault("camera", {}).update(readout)
-    elif not optics.is_known:
-        assumed.append(rolling_shutter(sections))
+    photos, times = _in_order(photos, arguments.utc_offset, next_to(folder, STAMPS))
+    optics = optics_of(photos[0].size_px, _focal(photos), folder, settings)
+    log_path, log = _log(arguments, folder, photos, times)
+    config = None if log is None else _config_in(arguments.folder, folder)
+    if config is not None:
+        sections, assumed = sections_of(config), [("configuration", f"{config}, nothing guessed")]
+    else:
+        sections, assumed = _by_photos(photos, times) if log is None else _by_log(log, times)
+        assumed += _rows_of(photos[0], optics, sections)
     frames = out / "frames"
     flight = ImportedFlight(
         out, frames, log_path or out / "telemetry.csv", optics,
         ["file,unix_time_s", *(f"{p.name},{t / 1e9:.6f}" for p, t in zip(photos, times.stamps_ns, strict=True))],
         sections,
     )  # fmt: skip
-    where = "copied" if arguments.copy else f"links to {arguments.folder.resolve()}"
+    where = "copied" if arguments.copy else f"links to {folder.resolve()}"
     flight.rows = [
         ("pictures", f"{len(photos)} of {photos[0].model or 'an unnamed camera'}, {where}"),
         *([("band", rig)] if rig else []),
@@ -95,28 +99,42 @@ def run(arguments: argparse.Namespace) -> int:
     flight.write(settings)
     frames.mkdir()
     for photo in photos:
-        _place(arguments.folder / photo.name, frames / photo.name, arguments.copy)
+        _place(folder / photo.name, frames / photo.name, arguments.copy)
     if log is None:
         flight.telemetry.write_text(_telemetry_table(photos, times))
     flight.print_assumed()
     return 0
 
 
+def _config_in(named: Path, folder: Path) -> Path | None:
+    """The configuration of a flight's own folder, where that is what was named: nothing has to be guessed then."""
+    found = next_to(folder, CONFIG)
+    return found if found is not None and named.resolve() in found.resolve().parents else None
+
+
+def _rows_of(photo: PhotoMetadata, optics: Optics, sections: dict[str, dict[str, str]]) -> list[Row]:
+    """Into the configuration: in what time rows are read, as the pictures state it, or guessed of an unknown camera."""
+    if photo.readout_s is not None:
+        readout = {"readout_s": f"{photo.readout_s:.4f}", "sigma_readout_s": f"{SIGMA_READOUT_S}"}
+        sections.setdefault("camera", {}).update(readout)
+        return []
+    return [] if optics.is_known else [rolling_shutter(sections)]
+
+
 def _log(
-    arguments: argparse.Namespace, photos: list[PhotoMetadata], times: _Times
+    arguments: argparse.Namespace, folder: Path, photos: list[PhotoMetadata], times: _Times
 ) -> tuple[Path | None, TelemetryLog | None]:
-    """The log that was named; else none if the pictures state where they were; else one next to them."""
+    """The log that was named; else none if the pictures state where they were; else one that lies with them."""
     path: Path | None = arguments.telemetry
     if path is None:
         if any(photo.lat_deg is not None for photo in photos):
             photo_telemetry(photos, times.stamps_ns, None)  # whether it is complete
             return None, None
-        for folder in (arguments.folder, arguments.folder.resolve().parent):
-            path = path or log_in_folder(folder)
+        path = log_of(folder, arguments.folder)
     if path is None:
         raise InputError(
-            f"{arguments.folder}: no GPS position with a height in {photos[0].name} and the others, and no log next to "
-            "them: give a log of the flight (.bin, .tlog, .ulg, .srt, .csv)"
+            f"{folder}: no GPS position with a height in {photos[0].name} and the others, and no log next to "
+            f"them: give a log of the flight ({', '.join(LOG_SUFFIXES)})"
         )
     log = read_log(path, home_amsl_m=arguments.home_amsl_m, system=system_of(settings_of(arguments.set)))
     check_overlap(times.stamps_ns, log)
@@ -124,11 +142,11 @@ def _log(
 
 
 def _photos(folder: Path) -> list[PhotoMetadata]:
-    if not folder.is_dir():
-        raise InputError(f"{folder}: no such folder of photographs")
     names = sorted(e.name for e in folder.iterdir() if e.suffix.lower() in PICTURE_SUFFIXES and e.is_file())
     if len(names) < MIN_PHOTOS:
-        raise InputError(f"{folder}: {len(names)} pictures in it; at least {MIN_PHOTOS} of one flight are needed")
+        raise InputError(
+            f"{folder}: {len(names)} pictures in it or below it; at least {MIN_PHOTOS} of one flight are needed"
+        )
     photos = [read_photo(folder / name) for name in names]
     for what, values in (
         ("size", [photo.size_px for photo in photos]),
@@ -143,8 +161,15 @@ def _photos(folder: Path) -> list[PhotoMetadata]:
     return photos
 
 
-def _in_order(photos: list[PhotoMetadata], utc_offset_h: float) -> tuple[list[PhotoMetadata], _Times]:
-    """By capture time: EXIF's if all have one, else that in the names. Times cut to the second are spread within it."""
+def _in_order(
+    photos: list[PhotoMetadata], utc_offset_h: float, table: Path | None
+) -> tuple[list[PhotoMetadata], _Times]:
+    """By capture time: that of a table next to them, else EXIF's if all have one, else that in the names.
+
+    Times cut to the second are spread within it.
+    """
+    if table is not None and (by_table := _by_table(photos, table)) is not None:
+        return by_table
     stamps, source = [photo.stamp_ns for photo in photos], "EXIF"
     if all(stamp is None for stamp in stamps):
         stamps, source = [stamp_from_name(photo.name) for photo in photos], "the names"
@@ -165,6 +190,15 @@ def _in_order(photos: list[PhotoMetadata], utc_offset_h: float) -> tuple[list[Ph
         if a == b:
             raise InputError(f"photographs {one.name} and {other.name} have the same capture time; remove the copy")
     return ordered, _Times(found, False, source)
+
+
+def _by_table(photos: list[PhotoMetadata], table: Path) -> tuple[list[PhotoMetadata], _Times] | None:
+    """The photographs that a table has a time for, in order, as exact as they are written; None if it is of others."""
+    stamps = read_stamps(table, "file")
+    found = sorted((stamps[photo.name], photo.name, photo) for photo in photos if photo.name in stamps)
+    if len(found) < MIN_PHOTOS:
+        return None
+    return [photo for _, _, photo in found], _Times([stamp for stamp, _, _ in found], False, str(table))
 
 
 def _focal(photos: list[PhotoMetadata]) -> Focal | None:
@@ -235,8 +269,9 @@ def _positions_text(photos: list[PhotoMetadata]) -> str:
 
 def _times_text(times: _Times) -> str:
     apart_s = sorted((b - a) / 1e9 for a, b in itertools.pairwise(times.stamps_ns))
+    zone = "" if times.source.endswith(STAMPS) else "; without a zone taken as UTC"
     cut = "cut to the second, evenly spread within it" if times.is_whole else "with fractions of a second"
-    return f"of {times.source}, {cut}; {apart_s[len(apart_s) // 2]:.1f} s apart; without a zone taken as UTC"
+    return f"of {times.source}, {cut}; {apart_s[len(apart_s) // 2]:.1f} s apart{zone}"
 
 
 def _telemetry_table(photos: list[PhotoMetadata], times: _Times) -> str:

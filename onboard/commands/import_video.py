@@ -15,11 +15,10 @@ from onboard.camera.file_stamps import stamp_from_name
 from onboard.camera.photo_lens import FULL_FRAME_DIAGONAL_MM
 from onboard.camera.photo_metadata import Focal
 from onboard.camera.video_times import creation_ns, frame_times_s, rate_text
+from onboard.commands.flight_folder import LOG_SUFFIXES, log_in_folder
 from onboard.commands.imported_flight import (
-    LOG_SUFFIXES,
     ImportedFlight,
     check_out,
-    log_in_folder,
     mount_by_log,
     optics_of,
     rolling_shutter,

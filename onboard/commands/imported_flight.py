@@ -16,6 +16,7 @@ from pathlib import Path
 from contract.camera import Camera
 from contract.errors import ConfigError, InputError
 from onboard.camera.photo_metadata import Focal
+from onboard.commands.flight_folder import next_to
 from onboard.config.schema import parse_config
 from onboard.events.types import Attitude, GimbalAttitude
 from onboard.telemetry.telemetry_log import TelemetryLog
@@ -28,8 +29,6 @@ SIGMA_CENTRE, SIGMA_K1, SIGMA_GIMBAL_DEG, SIGMA_MOUNT_DEG = 0.01, 0.03, 1.0, 5.0
 UNKNOWN_FOV_DEG, SIGMA_UNKNOWN_FOCAL, SIGMA_UNKNOWN_K1 = 70.0, 0.2, 0.1
 SIGMA_GIVEN_FOCAL = 0.03  # of a field of view that a person gives
 READOUT_S, SIGMA_READOUT_S = 0.02, 0.02  # of small cameras, which read row by row unless they state otherwise
-LOG_SUFFIXES = (".srt", ".bin", ".tlog", ".ulg", ".csv")
-NO_LOG_NAMES = ("stamps.csv",)
 FOV, CAMERA_FILE = "camera.fov_deg", "camera.file"
 UNKNOWN = "NOT KNOWN"  # how the row of a widely guessed lens begins; `pc-ground open` looks for it
 Row = tuple[str, str]
@@ -143,9 +142,8 @@ def optics_of(size_px: tuple[int, int], focal: Focal | None, near: Path, setting
         return _of_file(Path(str(tomllib.loads(f"x = {settings[CAMERA_FILE]}")["x"])), size_px)
     if FOV in settings:
         return _of_focal(size_px, _given(size_px, settings[FOV]))
-    for place in dict.fromkeys((near, near.parent)):
-        if (place / "camera.json").is_file():
-            return _of_file(place / "camera.json", size_px)
+    if (found := next_to(near, "camera.json")) is not None:
+        return _of_file(found, size_px)
     return _of_focal(size_px, focal) if focal is not None else _unknown(size_px)
 
 
@@ -206,17 +204,26 @@ def _width_text(camera: Camera) -> str:
     return f"{camera.width_px} x {camera.height_px}, {fov_deg:.0f} deg wide"
 
 
-def log_in_folder(folder: Path, stem: str | None = None) -> Path | None:
-    """The log of a video (the same name), or the only log in a folder. Raises InputError where there are several."""
-    logs = sorted(
-        entry for entry in folder.iterdir()
-        if entry.suffix.lower() in LOG_SUFFIXES and entry.name.lower() not in NO_LOG_NAMES and entry.is_file()
-    )  # fmt: skip
-    same = [log for log in logs if stem is not None and log.stem.lower() == stem.lower()]
-    found = same or logs
-    if len(found) > 1:
-        raise InputError(f"{folder}: several logs, {', '.join(log.name for log in found[:4])}: name the one to use")
-    return found[0] if found else None
+def sections_of(path: Path) -> dict[str, dict[str, str]]:
+    """A configuration file's sections and keys as TOML values. Raises ConfigError for what is none."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: {error}") from error
+    try:
+        parse_config(text)
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from error
+    found = tomllib.loads(text)
+    return {name: {key: _toml(value) for key, value in keys.items()} for name, keys in found.items()}
+
+
+def _toml(value: object) -> str:
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{key} = {_toml(each)}" for key, each in value.items()) + "}"
+    if isinstance(value, list):
+        return "[" + ", ".join(_toml(each) for each in value) + "]"
+    return json.dumps(value) if isinstance(value, str | bool) else repr(value)
 
 
 def mount_by_log(log: TelemetryLog) -> tuple[dict[str, dict[str, str]], Row]:

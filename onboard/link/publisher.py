@@ -462,7 +462,10 @@ class Publisher:
 
 def not_followed(_: str) -> tuple[bytes, bool]:
     """What an aircraft answers that follows nothing."""
-    return refused("disabled", "this aircraft follows nothing: tracks.enabled is false"), True
+    return refused(
+        "disabled",
+        "this aircraft does not follow things: for its next flight set tracks.enabled = true in its configuration",
+    ), True
 
 
 def _reply(waiting: _Waiting) -> None:

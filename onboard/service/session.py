@@ -109,7 +109,7 @@ class Session:
         self._busy_since_ns: int | None = None
         self._snapshot_at_ns = self._looked_ns = 0
         self._summary = Summary()
-        self._tracks = 0
+        self._tracks, self._follows = 0, config.tracks.enabled
         self._budget = NewestBudget()
         parts.pipeline.placing.watches.append(self._budget)
         self._gps: GpsQuality | None = None
@@ -225,6 +225,7 @@ class Session:
             recording=is_recording,
             cpu_c=self.parts.temperature_c(),
             shares={} if budget is None else budget.percent,
+            follows=self._follows,
         )
         return Report(
             status,

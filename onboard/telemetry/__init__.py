@@ -6,7 +6,7 @@ Public:
 - `arrivals`: `Arrivals`
 - `autopilot_search`: `FoundAutopilot`, `candidates`, `is_slow`, `listen`
 - `factory`: `open_telemetry`
-- `log_files`: `read_log`
+- `log_files`: `looks_like_log`, `read_log`
 - `srt_axis_order`: `Order`
 - `srt_reader`: `SIGMA_PRESSURE_HEIGHT_M`
 - `telemetry_log`: `MAX_GAP_S`, `TelemetryLog`, `quaternion`, `vouched`

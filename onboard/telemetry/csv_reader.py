@@ -31,8 +31,17 @@ Row = dict[str, float]
 
 def looks_like_table(head: bytes) -> bool:
     """Whether a file that begins so is such a table."""
-    names = [name.strip().strip('"') for name in head.decode("utf-8-sig", "replace").partition("\n")[0].split(",")]
-    return "unix_time_s" in names
+    return "unix_time_s" in _names(head)
+
+
+def has_positions(head: bytes) -> bool:
+    """Whether a file that begins so is such a table with all that it needs, and nothing else."""
+    names = _names(head)
+    return set(NEEDED) <= names <= set(COLUMNS)
+
+
+def _names(head: bytes) -> set[str]:
+    return {name.strip().strip('"') for name in head.decode("utf-8-sig", "replace").partition("\n")[0].split(",")}
 
 
 def read_csv(path: Path | str) -> TelemetryLog:

@@ -60,6 +60,15 @@ def read_log(
         raise
 
 
+def looks_like_log(path: Path) -> bool:
+    """Whether a file that was not named may be a log: not what no log is, and no table without positions and times."""
+    try:
+        head = _head(path)
+    except InputError:
+        return False
+    return path.suffix.lower() != ".csv" or csv_reader.has_positions(head)
+
+
 def _head(path: Path | str) -> bytes:
     """The file's first bytes, which are not those of something that no log is."""
     try:

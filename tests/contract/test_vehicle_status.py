@@ -33,6 +33,7 @@ STATUSES = st.builds(
     lost=COUNTS,
     recording=st.booleans(),
     cpu_c=st.none() | st.floats(-60, 150),
+    follows=st.booleans(),
     shares=st.dictionaries(st.sampled_from(list(Cause)).map(str), st.integers(0, 100), max_size=3),
 )
 

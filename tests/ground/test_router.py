@@ -310,6 +310,14 @@ def test_what_is_printed_for_zenohd_is_the_router_s_own_configuration(
             assert Path(path).is_absolute() and Path(path).is_file()
     assert printed["access_control"]["default_permission"] == "deny"
     assert all(subject["cert_common_names"] for subject in printed["access_control"]["subjects"])
+    # Without --config it is the list in this folder; and a folder stands for the list in it.
+    monkeypatch.chdir(keys)
+    for words in ([], ["--config", str(keys)]):
+        assert main(["router", "--print-zenohd-config", *words]) == 0
+        assert json.loads(capsys.readouterr().out) == printed
+    monkeypatch.chdir(keys.parent)
+    assert main(["router", "--print-zenohd-config"]) == 2
+    assert "make-credentials writes one" in capsys.readouterr().err
 
 
 def test_the_list_is_read_again_only_when_the_file_is_another(tmp_path: Path) -> None:
@@ -346,7 +354,7 @@ def test_a_router_needs_its_list_and_a_free_port(
     tmp_path: Path, station: Station, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["router", "--config", str(tmp_path / "none.toml")]) == 2
-    assert "none.toml: No such file" in capsys.readouterr().err
+    assert "none.toml: no such list" in capsys.readouterr().err
     with (
         pytest.raises(LinkError, match="the router cannot listen at tls/127"),
         Router(station.router.fleet, station.keys),

@@ -74,6 +74,7 @@ class FlyingSource:
         self.tracks, self.spots = TrackPaths(), ReceivedSpots()
         self.asked: list[TrackRequest] = []
         self._followed = 0
+        self.why_unfollowed = ""
         self._lock = threading.Lock()
         self._first = rendered_set(0)
         self._encoded = [cv2.imencode(".jpg", rendered_picture(seed))[1].tobytes() for seed in range(50)]
@@ -125,6 +126,10 @@ class FlyingSource:
 
     def no_pictures(self) -> str:
         return ""
+
+    def unfollowed(self, vehicle: str) -> str:
+        """As a test wants it."""
+        return self.why_unfollowed
 
     def follow(self, vehicle: str, request: TrackRequest) -> dict[str, object]:
         """As an aircraft: numbers from 1, eight at most."""

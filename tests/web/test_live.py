@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
 from contract.answer import Fix
 from contract.locate import Locator
 from contract.vehicle_status import VehicleStatus, encode_status
+from ground.client import Reply
+from ground.web import live
 from ground.web.clicks import Clicker
 from ground.web.live import LiveSource
 from onboard.link.publisher import Publisher, Rate
 from tests.onboard.link.ports import free_endpoint
-from tests.waiting import eventually
+from tests.waiting import PATIENCE_S, eventually
 from tests.web.served import Simulated
 
 pytestmark = pytest.mark.xdist_group("web")
@@ -65,6 +69,8 @@ def test_sets_that_are_published_are_clicked_and_a_silent_aircraft_grows_old(sim
         wait_for(
             lambda: source.feature_set(simulated.vehicle, last.session, first.frame) is not None, "what is asked for"
         )
+        # An aircraft that reports that it follows nothing is not asked to.
+        assert "tracks.enabled = true" in source.unfollowed(simulated.vehicle)
         refused = Clicker(source).click(simulated.vehicle, last.session - 1, last.frame, 320.0, 240.0)
         assert "restarted" in refused.answer.reason  # type: ignore[union-attr]
         assert source.feature_set(simulated.vehicle, None, 1_000_000) is None
@@ -76,3 +82,34 @@ def test_sets_that_are_published_are_clicked_and_a_silent_aircraft_grows_old(sim
     finally:
         source.close()
         publisher.close()
+
+
+def test_all_who_ask_for_a_picture_while_one_question_is_under_way_get_its_answer(
+    simulated: Simulated, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    endpoint = free_endpoint()
+    found = simulated.recording.by_frame(simulated.vehicle, simulated.newest)
+    assert found is not None
+    began, may_end, questions = threading.Event(), threading.Event(), []
+
+    def slowly(*_: object, frame: int, **__: object) -> dict[str, Reply]:
+        questions.append(frame)
+        began.set()
+        assert may_end.wait(PATIENCE_S)
+        return {simulated.vehicle: Reply(found, 0.0)} if frame == found.frame else {}
+
+    monkeypatch.setattr(live, "inquire", slowly)
+    source = LiveSource([endpoint])
+    try:
+        with ThreadPoolExecutor(8) as pool:
+            asked = [pool.submit(source._ask, endpoint, simulated.vehicle, found.frame)]
+            assert began.wait(PATIENCE_S)
+            asked += [pool.submit(source._ask, endpoint, simulated.vehicle, found.frame) for _ in range(5)]
+            other = pool.submit(source._ask, endpoint, simulated.vehicle, 999)  # has a question of its own
+            assert eventually(lambda: 999 in questions)
+            may_end.set()
+            assert [each.result() is found for each in asked] == [True] * 6
+            assert other.result() is None
+        assert sorted(questions) == sorted([found.frame, 999])
+    finally:
+        source.close()

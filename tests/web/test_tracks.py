@@ -291,6 +291,20 @@ def test_the_ninth_is_refused_and_the_key_asks_too(flying: Callable[..., tuple[F
     assert "eight things are followed" in anna.by("answer").inner_text()
 
 
+def test_nothing_is_offered_to_be_followed_where_the_aircraft_does_not_and_the_key_states_why(
+    flying: Callable[..., tuple[Flight, Operator]],
+) -> None:
+    flight, anna = flying(has_map=False)
+    flight.source.why_unfollowed = "uav-1 does not follow things"
+    anna.open()
+    assert "90 % within" in anna.click(400.0, 300.0)
+    assert anna.by("follow-it").count() == 0
+    anna.page.keyboard.press("g")
+    anna.page.wait_for_function("() => document.querySelector('#answer').dataset.kind === 'refused'")
+    assert "Not followed: uav-1 does not follow things." in anna.by("answer").inner_text()
+    assert flight.source.asked == []
+
+
 def test_tracks_of_several_aircraft_are_distinguished(flying: Callable[..., tuple[Flight, Operator]]) -> None:
     flight, anna = flying(2)
     other = replace(report_at(1, 330.0, 240.0), vehicle="uav-2")

@@ -14,6 +14,10 @@ class Unfollowed:
     tracks = TrackPaths()
     spots = ReceivedSpots()
 
+    def unfollowed(self, vehicle: str) -> str:
+        """No one does."""
+        return f"aircraft {vehicle!r} does not answer"
+
     def follow(self, vehicle: str, request: TrackRequest) -> dict[str, object]:
         """No one does."""
-        raise LinkError(f"aircraft {vehicle!r} does not answer")
+        raise LinkError(self.unfollowed(vehicle))

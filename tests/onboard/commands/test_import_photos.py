@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +13,12 @@ from PIL import ExifTags, Image
 
 from contract.camera import Camera
 from ground.__main__ import main as ground
+from ground.formats import table
 from ground.recording import Recording
 from onboard.__main__ import main
 from onboard.camera.photo_metadata import read_photo
 from onboard.config.files import load_config_files
+from onboard.config.schema import parse_config
 from onboard.events.types import Attitude, GimbalAttitude, PositionFix
 from onboard.replay.runner import Flight
 from simulation.flight import DescribedSpec
@@ -205,7 +208,7 @@ def test_a_folder_that_is_not_there_or_a_place_that_is_taken(
     assert "no such folder of photographs" in capsys.readouterr().err
     (tmp_path / "empty").mkdir()
     assert main(["import-photos", str(tmp_path / "empty"), "--out", str(tmp_path / "flight")]) == 2
-    assert "0 pictures in it; at least 3" in capsys.readouterr().err
+    assert "0 pictures in it or below it; at least 3" in capsys.readouterr().err
 
 
 def test_pictures_named_by_utc_are_a_flight_with_the_log_and_the_camera_file_next_to_them(
@@ -219,6 +222,61 @@ def test_pictures_named_by_utc_are_a_flight_with_the_log_and_the_camera_file_nex
     assert Camera.from_json(tmp_path / "flight" / "camera.json") == Camera.from_json(real / "camera.json")
     stamps = (tmp_path / "flight" / "stamps.csv").read_text().splitlines()
     assert stamps[1] == "2018080501004480Z.jpg,1533430844.800000" and len(stamps) == 19
+
+
+@pytest.mark.parametrize(
+    ("pictures", "log", "named"),
+    [
+        ("frames", "flight.tlog", ""),
+        ("DCIM/100MEDIA", "LOGS/flight.tlog", ""),
+        ("DCIM/100MEDIA", "flight.tlog", ""),
+        ("DCIM/100MEDIA", "DCIM/flight.tlog", "DCIM"),
+        ("", "../flight.tlog", ""),
+    ],
+)
+def test_pictures_and_log_are_found_below_the_folder_that_is_named(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], pictures: str, log: str, named: str
+) -> None:
+    """And a table that is no log, such as our own export, is none, wherever it lies."""
+    card, made = tmp_path / "card", tmp_path / "made"
+    write_named_photographs(session, made)
+    shutil.copytree(made, card / pictures, ignore=shutil.ignore_patterns("*.tlog"), dirs_exist_ok=True)
+    (card / log).parent.mkdir(parents=True, exist_ok=True)
+    shutil.copyfile(made / "flight.tlog", card / log)
+    for place in {tmp_path, card, card / pictures}:
+        (place / "pins.csv").write_text(table.header())
+    assert main(["import-photos", str(card / named), "--out", str(tmp_path / "flight")]) == 0
+    printed = capsys.readouterr().out
+    assert str((card / log).resolve()) in printed.replace(str(card / log), str((card / log).resolve()))
+    (card / "other").mkdir()
+    shutil.copyfile(next((card / pictures).glob("*.png")), card / "other" / "one.png")
+    if pictures and not named:
+        assert main(["import-photos", str(card), "--out", str(tmp_path / "again")]) == 2
+        assert "pictures in 2 folders below it: name one" in capsys.readouterr().err
+
+
+def test_a_folder_with_nothing_but_our_own_export_has_no_log(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_named_photographs(session, tmp_path / "photos")
+    (tmp_path / "photos" / "flight.tlog").unlink()
+    (tmp_path / "x.csv").write_text(table.header() + "1,car,vehicle,ok,-43.1,172.2\r\n")
+    assert main(["import-photos", str(tmp_path / "photos"), "--out", str(tmp_path / "flight")]) == 2
+    assert "no log next to them: give a log" in capsys.readouterr().err
+
+
+def test_a_flight_s_own_folder_has_its_times_and_its_configuration(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["import-photos", str(session), "--out", str(tmp_path / "flight")]) == 0
+    printed = capsys.readouterr().out
+    assert f"configuration  {session / 'config.toml'}, nothing guessed" in printed
+    assert parse_config((tmp_path / "flight" / "config.toml").read_text()) == parse_config(
+        (session / "config.toml").read_text()
+    )
+    assert len((tmp_path / "flight" / "stamps.csv").read_text().splitlines()) == len(
+        (session / "stamps.csv").read_text().splitlines()
+    )
 
 
 def test_a_camera_of_which_nothing_is_known_and_a_log_in_the_folder(

@@ -56,7 +56,10 @@ def test_a_track_is_asked_for_and_its_reports_are_received() -> None:
 def test_a_refusal_has_the_aircrafts_reason() -> None:
     endpoint = free_endpoint()
     with Publisher("uav-1", [endpoint], rate=WIDE) as flying, TrackLink(endpoint, "uav-1") as link:
-        with pytest.raises(TrackRefused, match=r"disabled: this aircraft follows nothing: tracks\.enabled is false"):
+        with pytest.raises(
+            TrackRefused,
+            match=r"disabled: this aircraft does not follow things: for its next flight set tracks\.enabled = true",
+        ):
             link.ask(ListTracks())
         flying.follow = lambda _: (json.dumps({"status": "full", "reason": "stop one"}).encode(), True)
         with pytest.raises(TrackRefused, match="full: stop one"):

@@ -16,6 +16,7 @@ from onboard.config.schema import Config
 from onboard.events.session_clock import SessionClock
 from onboard.events.sink import Sink
 from onboard.link.publisher import Publisher, Rate
+from onboard.service.session import Session
 from onboard.service.track_thread import TrackThread
 from tests.contract.sets import plain_set
 from tests.onboard.link.ports import free_endpoint
@@ -46,6 +47,7 @@ def test_the_daemon_follows_unless_configured_not_to(tmp_path: Path, is_on: bool
         assert any(isinstance(sink, TrackThread) for sink in parts.sinks) == is_on
         publisher = next(sink for sink in parts.sinks if isinstance(sink, Publisher))
         assert (b"disabled" in publisher.follow("")[0]) == (not is_on)
+        assert Session(config, parts).report().status.follows == is_on  # so that the page offers it only where it is
 
 
 class Asking(SetSink):
