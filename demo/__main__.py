@@ -14,7 +14,7 @@ from contract.errors import PointclickError
 from contract.geodesy import LocalFrame
 from demo.clicks import Clicked, Spot, choose_spots
 from demo.map import draw_overview
-from demo.processes import Aircraft, click
+from demo.processes import Aircraft
 from demo.tracks import draw_tracks, follow
 from ground.recording import Recording
 from simulation.flight import DescribedSpec, RecordedSpec
@@ -76,12 +76,12 @@ def _run(out: Path, seconds: float, autopilot: str) -> int:
     )
     truth = fly(spec, flight, _progress)
 
-    with Aircraft(flight, recording, SPEED) as aircraft:
+    with Aircraft(flight, recording, SPEED, len(truth)) as aircraft:
         _say(f"On board: {aircraft.command}")
         _say(f"On the ground, while it flies ({SPEED:g} times real time):")
         spots = choose_spots(truth)
-        clicked = _click_all(truth, spots, aircraft.endpoint)
-        summary = aircraft.land(len(truth) - 1)
+        clicked = _click_all(truth, spots, aircraft)
+        summary = aircraft.land()
     _say("On board, in the end:\n" + "\n".join(f"  {line}" for line in summary.splitlines()))
 
     tracked = follow(flight)
@@ -96,15 +96,15 @@ def _run(out: Path, seconds: float, autopilot: str) -> int:
     return 0 if answered == len(clicked) else 1
 
 
-def _click_all(truth: Truth, spots: list[Spot], endpoint: str) -> list[Clicked]:
+def _click_all(truth: Truth, spots: list[Spot], aircraft: Aircraft) -> list[Clicked]:
     """Each spot's pixels through `pc-ground click`, a table as the answers come."""
     rows = sorted(((spot, view) for spot in spots for view in spot.views), key=lambda row: row[1].frame)
     first = rows[0][1]
-    print(f"  pc-ground click {first.u_px} {first.v_px} --frame {first.frame} --connect {endpoint}\n")
+    print(f"  pc-ground click {first.u_px} {first.v_px} --frame {first.frame} --connect {aircraft.endpoint}\n")
     print(HEADER)
     clicked: list[Clicked] = []
     for spot, view in rows:
-        answer = click(view.u_px, view.v_px, view.frame, endpoint)
+        answer = aircraft.click(view.u_px, view.v_px, view.frame)
         head = head_text(spot.name, view.frame, view.u_px, view.v_px)
         if answer["status"] != "ok":
             print(f"{head}   refused: {answer['status']}", flush=True)

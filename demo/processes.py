@@ -15,8 +15,10 @@ from typing import Any, Self
 
 from contract.errors import InputError
 
-PATIENCE_S = 60.0  # for an answer: the picture may still have to come, on whatever machine
-LANDING_S = 60.0
+STUCK_S = 900.0  # without anything new: only of programs that stand still, on however busy a machine
+AGAIN_S = 0.2
+NOT_THERE_YET = "unknown_frame"
+ANSWERED, REFUSED = 0, 3  # exit codes of `pc-ground click`
 
 
 def program(name: str) -> str:
@@ -37,8 +39,9 @@ def free_port() -> int:
 class Aircraft:
     """`pc-onboard replay --publish` over a folder that `simulation.session.fly` has written."""
 
-    def __init__(self, flight: Path, recording: Path, speed: float) -> None:
+    def __init__(self, flight: Path, recording: Path, speed: float, pictures: int) -> None:
         self.endpoint = f"tcp/127.0.0.1:{free_port()}"
+        self._last = pictures - 1
         config = flight / "config.toml"
         link = f'\n[link]\nlisten = ["{self.endpoint}"]\n\n[recording]\npictures = "jpeg"  # for make demo-web\n'
         config.write_text(config.read_text() + link)
@@ -50,7 +53,7 @@ class Aircraft:
             "stamps": flight / "stamps.csv",
             "record": recording,
             "speed": f"{speed:g}",
-            "linger": "600",
+            "linger": f"{10.0 * STUCK_S:g}",
         }
         arguments = ["replay", "--publish", *(part for k, v in options.items() for part in (f"--{k}", str(v)))]
         self.command = shlex.join(["pc-onboard", *arguments])
@@ -58,20 +61,53 @@ class Aircraft:
             [program("pc-onboard"), *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )
 
-    def land(self, last_frame: int) -> str:
+    def click(self, u_px: int, v_px: int, frame: int) -> dict[str, Any]:
+        """Ask for a picture until it is answered; a refusal counts once the last picture has come.
+
+        Raises InputError if pc-onboard has ended or for STUCK_S nothing new is received.
+        """
+        received, since_s = "", time.monotonic()
+        while True:
+            is_whole = bool(received) and _has_come(received) and _has_come(self._ask(0, 0, self._last)[1])
+            code, now_received = self._ask(u_px, v_px, frame)
+            if code == ANSWERED or (code == REFUSED and is_whole and _has_come(now_received)):
+                answer: dict[str, Any] = json.loads(now_received)
+                return answer
+            news, received = _gist(now_received) != _gist(received), now_received
+            if news:
+                since_s = time.monotonic()
+            elif time.monotonic() - since_s > STUCK_S:
+                raise InputError(f"pc-ground click: {received}")
+            time.sleep(AGAIN_S)
+
+    def land(self) -> str:
         """Once the last picture has come, end it; returns its summary.
 
         Raises InputError with what it said if it failed.
         """
-        click(0, 0, last_frame, self.endpoint)
+        self.click(0, 0, self._last)
         self._process.send_signal(signal.SIGTERM)
         try:
-            reported, complaint = self._process.communicate(timeout=LANDING_S)
+            reported, complaint = self._process.communicate(timeout=STUCK_S)
         except subprocess.TimeoutExpired as late:
-            raise InputError(f"pc-onboard did not end within {LANDING_S:g} s of SIGTERM") from late
+            raise InputError(f"pc-onboard did not end within {STUCK_S:g} s of SIGTERM") from late
         if self._process.returncode not in (0, 130):
             raise InputError(f"pc-onboard ended with {self._process.returncode}: {complaint.strip()}")
         return reported.strip()
+
+    def _ask(self, u_px: int, v_px: int, frame: int) -> tuple[int, str]:
+        """Return the exit code of one `pc-ground click`, and its answer or its complaint."""
+        if self._process.poll() is not None:
+            _, complaint = self._process.communicate()
+            raise InputError(f"pc-onboard ended with {self._process.returncode}: {complaint.strip()}")
+        place = [str(u_px), str(v_px), "--frame", str(frame)]
+        done = subprocess.run(
+            [program("pc-ground"), "click", *place, "--connect", self.endpoint, "--format", "json"],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        return done.returncode, (done.stdout if done.returncode in (ANSWERED, REFUSED) else done.stderr).strip()
 
     def __enter__(self) -> Self:
         return self
@@ -84,19 +120,11 @@ class Aircraft:
             self._process.wait()
 
 
-def click(u_px: int, v_px: int, frame: int, endpoint: str) -> dict[str, Any]:
-    """Ask until the picture has come and placed; the last refusal if it never is.
+def _gist(received: str) -> str:
+    """Return the status of an answer, without the figures that differ each time, or a complaint."""
+    return str(json.loads(received)["status"]) if received.startswith("{") else received
 
-    Raises InputError if no one answers at all.
-    """
-    arguments = ["click", str(u_px), str(v_px), "--frame", str(frame), "--connect", endpoint, "--format", "json"]
-    deadline = time.monotonic() + PATIENCE_S
-    while True:
-        done = subprocess.run([program("pc-ground"), *arguments], capture_output=True, text=True, check=False)
-        is_late = time.monotonic() > deadline
-        if done.returncode == 0 or (done.returncode == 3 and is_late):
-            answer: dict[str, Any] = json.loads(done.stdout)
-            return answer
-        if is_late:
-            raise InputError(f"pc-ground click: {done.stderr.strip()}")
-        time.sleep(0.2)
+
+def _has_come(received: str) -> bool:
+    """Return whether an answer is about the picture: not that there is none yet, and not that no one answers."""
+    return received.startswith("{") and _gist(received) != NOT_THERE_YET
