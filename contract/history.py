@@ -11,10 +11,6 @@ from contract.topics import TIME_TOLERANCE_S
 
 T = TypeVar("T")
 
-# Sets in a row of a session that is not plainly a new one, before it is taken for the one that runs. A session's number
-# is the clock's second at its beginning, so a lower one is nearly always a late packet; after so many it is an aircraft
-# whose clock was set back before it restarted.
-IN_A_ROW = 5
 MAX_SESSIONS = 2  # whose sets are kept: of the one that runs and of the last other one received
 
 
@@ -37,9 +33,9 @@ class Entry(Generic[T]):
 class History(Generic[T]):
     """Items (payloads, sets) by frame and by capture time. Ages are counted between captures: it has no clock.
 
-    All that is returned is of one session, the one that runs. It is the highest ever received, so that packets of an
-    earlier one that come late change nothing; but IN_A_ROW sets of another make that the one that runs, with all of its
-    sets that were received.
+    All that is returned is of one session, the one that runs. A session's number is the clock's second at its
+    beginning, or higher: of two the higher one is the later, and an earlier one never replaces a later one by itself.
+    `run` does, for who knows that an aircraft began again with its clock set back.
     """
 
     def __init__(self, max_age_s: float = 600.0, max_sets: int = 5000) -> None:
@@ -47,8 +43,7 @@ class History(Generic[T]):
         self.max_sets = max_sets
         self._sessions: dict[int, _Session[T]] = {}
         self._current: _Session[T] = _Session(-1)
-        self._highest = -1
-        self._last, self._in_a_row = -1, 0
+        self._highest = -1  # of those that ran
 
     def __len__(self) -> int:
         return len(self._current.entries)
@@ -58,27 +53,44 @@ class History(Generic[T]):
         """Number of the session that runs; None before the first set."""
         return None if self._current.number < 0 else self._current.number
 
-    def add(self, feature_set: FeatureSet, item: T, *, is_running: bool = True) -> None:
+    @property
+    def highest(self) -> int:
+        """The highest number of a session that ran; -1 before the first."""
+        return self._highest
+
+    def add(self, feature_set: FeatureSet, item: T, *, runs: bool | None = None) -> None:
         """Keep a set; a revision older than the one held is dropped.
 
-        `is_running` False: it did not come by itself just now, so it does not show which session runs, except by being
-        of a higher one.
+        `runs`: whether its session is the one that runs from now on, if it is not already; without it, if its number
+        is higher than that of any that ran.
         """
         s = feature_set
-        if is_running:
-            self._in_a_row = self._in_a_row + 1 if s.session == self._last else 1
-            self._last = s.session
-        session = self._sessions.get(s.session)
-        if session is None:
-            session = self._sessions[s.session] = _Session(s.session)
+        session = self._of(s.session)
         session.add(Entry(s.frame, s.revision, s.capture_unix_ns, s.status, item), self.max_age_s, self.max_sets)
-        if s.session > self._highest or (is_running and self._in_a_row >= IN_A_ROW):
-            self._current = session
-        self._highest = max(self._highest, s.session)
+        if s.session > self._highest if runs is None else runs:
+            self.run(s.session)
         if len(self._sessions) > MAX_SESSIONS:
             kept = {self._current.number, s.session}
             for number in [n for n in self._sessions if n not in kept][: len(self._sessions) - MAX_SESSIONS]:
                 del self._sessions[number]
+
+    def run(self, session: int) -> None:
+        """From now on this session is the one that runs, with those of its sets that are kept."""
+        self._current = self._of(session)
+        self._highest = max(self._highest, session)
+
+    def forget_after(self, session: int, unix_ns: int) -> None:
+        """Drop the sets of a session that are stamped later than this."""
+        if session in self._sessions:
+            self._sessions[session].forget_after(unix_ns)
+
+    @property
+    def sessions(self) -> list[int]:
+        """The numbers of the sessions of which anything is kept."""
+        return list(self._sessions)
+
+    def _of(self, session: int) -> _Session[T]:
+        return self._sessions.setdefault(session, _Session(session))
 
     def newest_answer(self) -> Entry[T] | None:
         """The newest set that answers clicks; None if none does."""
@@ -156,6 +168,10 @@ class _Session(Generic[T]):
         if near is None or abs(near[0] - asked_ns) > TIME_TOLERANCE_S * 1e9:
             return None
         return self.entries[near[1]]
+
+    def forget_after(self, unix_ns: int) -> None:
+        while self._order and self._order[-1][0] > unix_ns:
+            self._forget(*self._order[-1])
 
     def _forget(self, capture_unix_ns: int, frame: int) -> None:
         self._order.remove((capture_unix_ns, frame))

@@ -7,6 +7,7 @@ import json
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from types import TracebackType
 from typing import Any
 
@@ -15,7 +16,7 @@ import zenoh
 from contract.answer import EXPLANATIONS, Refusal
 from contract.errors import ForeignMessage, LinkError, WireError
 from contract.feature_set import FeatureSet, Status
-from contract.history import Entry, History
+from contract.history import Entry
 from contract.link_config import Tls, link_config
 from contract.locate import Locator
 from contract.topics import (
@@ -28,12 +29,15 @@ from contract.topics import (
     WAIT_PARAMETER,
 )
 from contract.wire.codec import decode
-from contract.wire.message import read_set
+from contract.wire.message import read_set, read_spots, read_status, read_tracks
+from ground.aircraft_clock import Moment
 from ground.dropped_messages import DroppedMessages
-from ground.freshness import AircraftClock, Later, Reply
+from ground.freshness import Later, Reply
+from ground.last_received import MOST_VEHICLES, LastReceived
 from ground.mavlink_endpoint import SCHEME, MavlinkEndpoint
 from ground.mavlink_sets import MavlinkSets, RadioSystems
 from ground.presence import is_through_router, vehicles_there
+from ground.received_sets import ReceivedSets
 from ground.watched_thread import WatchedThread
 
 PICTURE_TIMEOUT_S = 8.0  # of a picture asked for by its number or its time, which may have no set yet
@@ -41,6 +45,12 @@ PICTURE_TIMEOUT_S = 8.0  # of a picture asked for by its number or its time, whi
 # for which a coordinator waits.
 RENEW_S = 8.0
 RENEWAL_PERIOD_S = 0.5
+# The session that a message states, by the last chunk of its key.
+SESSION_OF: dict[str, Callable[[str, bytes], int]] = {
+    "status": lambda key, payload: read_status(key, payload)[1].session,
+    "tracks": lambda key, payload: next((report.session for report in read_tracks(key, payload)), 0),
+    "spots": lambda key, payload: read_spots(key, payload).session,
+}
 MOST_REFUSING = 256  # vehicles that refuse one question to all: a peer may invent names
 FIRST_RETRY_S = 1.0  # after a renewal that failed; twice as long each time, at most RENEW_S
 
@@ -147,6 +157,15 @@ def _replies(
     return answers
 
 
+def running_session(session: Any, vehicle: str) -> int | None:
+    """The number of a vehicle's session that runs now, as it answers itself; None without an answer or a set."""
+    try:
+        reply = _replies(session, vehicle, "", DroppedMessages()).get(vehicle)
+    except (zenoh.ZError, WireError):
+        return None
+    return reply.answer.session if reply is not None and isinstance(reply.answer, FeatureSet) else None
+
+
 def ask(
     endpoint: str,
     vehicle: str = ANY_VEHICLE,
@@ -183,9 +202,7 @@ class SetCache:
     ) -> None:
         self.dropped = DroppedMessages()
         self._subscriptions, self._on_set = dict(subscriptions or {}), on_set
-        self._bounds = max_age_s, max_sets
-        self._histories: dict[str, History[FeatureSet]] = {}
-        self._clocks: dict[str, AircraftClock] = {}
+        self._vehicles = LastReceived(lambda name: ReceivedSets(name, max_age_s, max_sets), MOST_VEHICLES)
         self._locators: dict[str, Locator] = {}
         self._lock = threading.Lock()
         self._ways = endpoint, tls, FEATURES.key(vehicle)
@@ -203,40 +220,49 @@ class SetCache:
     def vehicles(self) -> list[str]:
         """The vehicles of which something was received, sorted."""
         with self._lock:
-            return sorted(self._histories)
+            return sorted(self._vehicles)
 
     def newest(self, vehicle: str) -> FeatureSet | None:
         """The newest set that answers clicks, or the newest refusal if none does."""
         with self._lock:
-            return self._histories[vehicle].newest() if vehicle in self._histories else None
+            return None if (held := self._vehicles.get(vehicle)) is None else held.history.newest()
 
     def by_frame(self, vehicle: str, frame: int) -> FeatureSet | None:
         """The set of a frame at its latest revision."""
         with self._lock:
-            return self._histories[vehicle].frame(frame) if vehicle in self._histories else None
+            return None if (held := self._vehicles.get(vehicle)) is None else held.history.frame(frame)
 
     def by_time(self, vehicle: str, unix_s: float) -> FeatureSet | None:
         """The set captured nearest to a time, within half a second."""
         with self._lock:
-            return self._histories[vehicle].nearest(unix_s) if vehicle in self._histories else None
+            return None if (held := self._vehicles.get(vehicle)) is None else held.history.nearest(unix_s)
 
     def entries(self, vehicle: str) -> list[Entry[FeatureSet]]:
         """The sets of the session that runs, in capture order."""
         with self._lock:
-            return self._histories[vehicle].ordered() if vehicle in self._histories else []
+            return [] if (held := self._vehicles.get(vehicle)) is None else held.history.ordered()
 
     def age_of(self, feature_set: FeatureSet) -> float | None:
-        """Seconds since a set's picture was taken; None before any set of its vehicle was received."""
+        """Seconds since a set's picture was taken, at most; None before any set of its vehicle was received."""
         with self._lock:
-            clock = self._clocks.get(feature_set.vehicle)
-            return None if clock is None else clock.age_s(feature_set.capture_unix_ns, time.monotonic_ns())
+            held = self._vehicles.get(feature_set.vehicle)
+            return None if held is None else held.age_s(feature_set.capture_unix_ns, Moment.now())
+
+    def stamped_ago_s(self, vehicle: str, unix_ns: int) -> float:
+        """Seconds, at most, since a vehicle stamped a message so; by how much it differs from this computer's clock
+        where no set of the vehicle came.
+        """
+        now = Moment.now()
+        with self._lock:
+            held = self._vehicles.get(vehicle)
+            age_s = None if held is None else held.age_s(unix_ns, now)
+        return abs(now.unix_ns - unix_ns) / 1e9 if age_s is None else age_s
 
     def age_s(self, vehicle: str) -> float | None:
-        """Seconds since the newest known picture was taken, whether it answers or not; None before the first.
+        """Seconds since the newest known picture was taken, at most, whether it answers or not; None before the first.
 
         This, and not the link's own state, determines whether what is shown is old: a session outlives a break by its
-        lease, and a set may be sent again. It needs no clock in common with the aircraft, which states how old a set
-        was when it was sent; what the fastest set took on its way is not in it.
+        lease, and a set may be sent again, today or tomorrow. What the fastest set took on its way is not in it.
         """
         reply = self.reply(vehicle)
         return None if reply is None else reply.age_s if reply.later is None else reply.later.age_s
@@ -247,21 +273,22 @@ class SetCache:
         `Reply.fresh` makes a refusal of it where that is too old to be what is seen now.
         """
         with self._lock:
-            if vehicle not in self._clocks:
-                return None
-            history, clock, now_ns = self._histories[vehicle], self._clocks[vehicle], time.monotonic_ns()
-            found, latest = history.newest_entry(), history.newest_picture()
-            assert found is not None and latest is not None
-            later = None
-            if latest is not found:
-                later = Later(latest.status, latest.frame, clock.age_s(latest.capture_unix_ns, now_ns))
-            return Reply(found.item, clock.age_s(found.capture_unix_ns, now_ns), later)
+            return None if (held := self._vehicles.get(vehicle)) is None else held.reply(Moment.now())
+
+    def doubt(self, vehicle: str) -> str:
+        """What is to be known of the aircraft's clock, in words; empty where it agrees with this computer's."""
+        with self._lock:
+            return "" if (held := self._vehicles.get(vehicle)) is None else held.doubt(Moment.now())
+
+    def is_of_now(self, vehicle: str, session: int) -> bool:
+        """Whether a message that states this session is of the one that runs; true before any set came."""
+        with self._lock:
+            return (held := self._vehicles.get(vehicle)) is None or held.is_of_now(session)
 
     def bring_in(self, feature_set: FeatureSet) -> None:
         """Keep a set of an earlier run, or one that was asked for: it gives no information on the aircraft's clock."""
         with self._lock:
-            history = self._histories.setdefault(feature_set.vehicle, History(*self._bounds))
-            history.add(feature_set, feature_set, is_running=False)
+            self._vehicles.of(feature_set.vehicle).bring_in(feature_set)
 
     def ask_at(self, vehicle: str, unix_s: float) -> FeatureSet | None:
         """The aircraft's set captured nearest to a time, over the session that listens; None if it has none.
@@ -319,7 +346,10 @@ class SetCache:
         session = open_link("peer", endpoint, tls)
         try:
             subscribers = [session.declare_subscriber(key, self._receive)]
-            subscribers += [session.declare_subscriber(k, _passing_on(take)) for k, take in self._subscriptions.items()]
+            subscribers += [
+                session.declare_subscriber(wanted, partial(self._pass_on, wanted, take))
+                for wanted, take in self._subscriptions.items()
+            ]
         except zenoh.ZError as error:
             _close(session)
             raise LinkError(f"cannot listen to {key} at {endpoint}: {error}") from error
@@ -337,6 +367,7 @@ class SetCache:
 
         Raises LinkError, and is called again.
         """
+        self._ask_doubtful()
         now_s = time.monotonic()
         with self._lock:
             if isinstance(self._session, MavlinkSets) and self._session.refusal:
@@ -387,22 +418,58 @@ class SetCache:
 
     def _keep(self, received: FeatureSet, size: int, age_s: float | None) -> None:
         """A set that came now, and its picture's age when it was sent."""
-        received_ns = time.monotonic_ns()
         with self._lock:
-            history = self._histories.setdefault(received.vehicle, History(*self._bounds))
-            self._clocks.setdefault(received.vehicle, AircraftClock())
-            history.add(received, received)
-            if received.session == history.session:  # a late packet of an earlier one gives no information on the time
-                self._clocks[received.vehicle].received(received.session, received.capture_unix_ns, age_s, received_ns)
-        if self._on_set is not None:
+            left_out = self._vehicles.of(received.vehicle).take(received, age_s, Moment.now())
+        if left_out:
+            self.dropped.not_accepted(left_out)
+        elif self._on_set is not None:
             self._on_set(received, size)
 
+    def _pass_on(self, wanted: str, take: Callable[[str, bytes], object], sample: zenoh.Sample) -> None:
+        """A message for who has subscribed; not of a session before the one that runs, where its kind states it."""
+        key, payload = str(sample.key_expr), sample.payload.to_bytes()
+        of = SESSION_OF.get(wanted.rpartition("/")[2])
+        if of is not None:
+            vehicle, session = key.split("/")[1], 0
+            with contextlib.suppress(WireError, ValueError):  # `take` counts what it cannot read
+                session = of(key, payload)
+            if not self.is_of_now(vehicle, session):
+                self.dropped.not_accepted(f"{vehicle!r} sends {wanted.rpartition('/')[2]} of an earlier session")
+                return
+        take(key, payload)
 
-def _passing_on(take: Callable[[str, bytes], object]) -> Callable[[zenoh.Sample], None]:
-    def receive(sample: zenoh.Sample) -> None:
-        take(str(sample.key_expr), sample.payload.to_bytes())
+    def _ask_doubtful(self) -> None:
+        """Ask the aircraft whose clock or session is in doubt for their newest set: an answer is of now."""
+        now = Moment.now()
+        with self._lock:
+            session = self._session
+            doubtful = [held.vehicle for held in self._vehicles.values() if held.is_to_be_asked(now)]
+        for vehicle in doubtful if session is not None else ():
+            if isinstance(session, MavlinkSets):
+                session.ask(self._systems.system_of(vehicle), partial(self._answered_by_radio, vehicle))
+                continue
+            with contextlib.suppress(zenoh.ZError, ValueError):  # it is asked again
+                put_question(session, FEATURES.key(vehicle), handler=partial(self._answered_now, vehicle, now))
 
-    return receive
+    def _answered_now(self, vehicle: str, asked: Moment, reply: zenoh.Reply) -> None:
+        """An aircraft's answer, in zenoh's thread."""
+        if reply.ok is None:
+            return
+        try:
+            found = _answered(reply.ok)
+        except (WireError, ValueError) as error:
+            self.dropped.failed(error)
+            return
+        s = found.answer
+        if isinstance(s, FeatureSet) and s.vehicle == vehicle:
+            sent_ns = None if found.age_s is None else s.capture_unix_ns + round(found.age_s * 1e9)
+            with self._lock:
+                self._vehicles.of(vehicle).answered(s.session, sent_ns, asked.monotonic_ns, Moment.now())
+
+    def _answered_by_radio(self, vehicle: str, sent_unix_ns: int, asked_ns: int) -> None:
+        """The same, through the autopilot's radio."""
+        with self._lock:
+            self._vehicles.of(vehicle).answered_by_radio(sent_unix_ns, asked_ns, Moment.now())
 
 
 def open_link(mode: str, endpoint: str, tls: Tls | None) -> Any:

@@ -1,7 +1,7 @@
 """How old a picture is, and whether the newest one that can be clicked is what is seen now. No I/O.
 
-An aircraft's clock may be hours off the ground's, so ages never compare the two: they come from the aircraft, or from
-captures among each other, and the ground adds what it measured itself.
+An aircraft's clock may be hours off the ground's: ages come from the aircraft's answers, or from its clock as far as
+that can be relied on (`ground.aircraft_clock`), and the ground adds what it measured itself.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from contract.answer import EXPLANATIONS, Answer, Refusal
 from contract.feature_set import FeatureSet, Status
 
 MAX_AGE_S = 3.0  # of the newest picture, by default: at 24 m/s the aircraft is 70 m further by then
+STATED_S = 5.0  # by how much clocks differ before it is reported of one that is known
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,8 @@ class Later:
 class Reply:
     """A set or a refusal with its picture's age (None: not known), and what explains that there is nothing newer.
 
-    `state` and `reason` are the daemon's own, empty if it is well or did not report them.
+    `state` and `reason` are the daemon's own, empty if it is well or did not report them. `doubt`: what is to be known
+    of the aircraft's clock, in words.
     """
 
     answer: FeatureSet | Refusal
@@ -36,6 +38,7 @@ class Reply:
     later: Later | None = None
     state: str = ""
     reason: str = ""
+    doubt: str = ""
 
     @property
     def why(self) -> str:
@@ -47,6 +50,7 @@ class Reply:
             causes.append(f"frame {self.later.frame}{age} is refused: {status.value}: {EXPLANATIONS[status]}")
         if self.state:
             causes.append(f"the aircraft reports: {self.state}" + (f": {self.reason}" if self.reason else ""))
+        causes += [self.doubt] if self.doubt else []
         return "; ".join(causes) or "no newer picture came"
 
     def later_by(self, seconds: float) -> Reply:
@@ -69,40 +73,27 @@ class Reply:
         return Refusal(Status.STALE, found.frame, found.capture_unix_ns, found.vehicle, detail, self.age_s)
 
 
+def span(seconds: float) -> str:
+    """A length of time for people, of any size."""
+    for unit, in_s, most in (("s", 1.0, 100.0), ("min", 60.0, 100.0), ("h", 3600.0, 48.0), ("d", 86_400.0, 1000.0)):
+        if seconds < most * in_s:
+            return f"{seconds / in_s:.{1 if unit == 's' else 0}f} {unit}"
+    return f"{seconds / 31_557_600.0:.0f} years"
+
+
+def stamped_elsewhen(stamp_unix_s: float, now_unix_s: float) -> str:
+    """Words for a message that is stamped far from now by this computer's clock; empty if it is not."""
+    behind_s = now_unix_s - stamp_unix_s
+    if abs(behind_s) <= STATED_S:
+        return ""
+    return f"stamped {span(abs(behind_s))} {'behind' if behind_s > 0.0 else 'ahead of'} this computer's clock"
+
+
 def too_old(age_s: float | None, max_age_s: float) -> str:
     """How old a picture is if that is too old, for people; empty if it is not."""
     if age_s is None:
         return "of unknown age (is the aircraft's software older than this?)"
-    return f"{age_s:.1f} s old, more than {max_age_s:g} s" if age_s > max_age_s else ""
-
-
-class AircraftClock:
-    """Ages of an aircraft's pictures by the ground's monotonic clock, from when its sets were received.
-
-    A set received at h, of a picture of age a when it was sent, was captured at h - a at the latest; the least
-    difference to its stamp is that of the set that came fastest, and what others took longer counts as their age.
-    """
-
-    # Largest rate at which two clocks' crystals drift apart: it limits what an old message can state about now.
-    DRIFT = 100e-6
-
-    def __init__(self) -> None:
-        self._session = -1
-        self._offset_ns = 0  # monotonic minus capture times, at most
-        self._noted_ns = 0
-
-    def received(self, session: int, capture_unix_ns: int, age_s: float | None, received_ns: int) -> None:
-        """A set came; `age_s` is the age of its picture as its sender states it."""
-        offset_ns = received_ns - round((age_s or 0.0) * 1e9) - capture_unix_ns
-        if session != self._session or offset_ns < self._offset_at(received_ns):
-            self._session, self._offset_ns, self._noted_ns = session, offset_ns, received_ns
-
-    def age_s(self, capture_unix_ns: int, now_ns: int) -> float:
-        """Seconds since a picture of that session was taken; what the fastest set took on its way is not in it."""
-        return max((now_ns - self._offset_at(now_ns) - capture_unix_ns) / 1e9, 0.0)
-
-    def _offset_at(self, now_ns: int) -> int:
-        return self._offset_ns + round(self.DRIFT * (now_ns - self._noted_ns))
+    return f"{span(age_s)} old, more than {max_age_s:g} s" if age_s > max_age_s else ""
 
 
 def aged(answer: Answer, age_s: float | None) -> Answer:

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import contextlib
+import random
 import time
+from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from contract.errors import ForeignMessage, LinkError, WireError
 from contract.feature_set import FeatureSet
+from contract.wire.click_code import MAX_NUMBER, ClickQuestion
 from contract.wire.set_pieces import SetAssembly, encode_report, read_piece
+from ground.click_asking import Asking
 from ground.mavlink_endpoint import MavlinkEndpoint
 from ground.mavlink_link import MavlinkLink, NumberRefused
 from ground.watched_thread import WatchedThread
@@ -32,6 +37,19 @@ class RadioSystems:
             raise ForeignMessage(f"MAVLink system {system}, which is {known!r}, sends what names {found.vehicle!r}")
         return found
 
+    def system_of(self, vehicle: str) -> int | None:
+        """The system of a vehicle; None before its first set."""
+        return next((number for number, name in self._names.items() if name == vehicle), None)
+
+
+@dataclass(frozen=True)
+class _Question:
+    """What a vehicle was asked, and who wants the answer: what its clock showed, and when it was asked."""
+
+    asking: Asking
+    asked_ns: int
+    answered: Callable[[int, int], None]
+
 
 class MavlinkSets:
     """Listens in a thread of its own, and opens a link that broke again. Raises LinkError if it cannot be opened.
@@ -49,12 +67,22 @@ class MavlinkSets:
         self._assemblies: dict[int, SetAssembly] = {}
         self._report_s = -REPORT_S
         self.refusal = ""  # why nothing is asked for any more
+        self._to_ask: deque[tuple[int, Callable[[int, int], None]]] = deque()
+        self._asked: dict[int, _Question] = {}  # by system
         self._thread = WatchedThread("sets over MAVLink", self._work, 0.0)
 
     @property
     def trouble(self) -> str:
         """What keeps sets from coming, in a line; empty if nothing is known to."""
         return self.refusal or self._thread.trouble
+
+    def ask(self, system: int | None, answered: Callable[[int, int], None]) -> None:
+        """Ask a vehicle what its clock shows, by a click into its newest picture; from any thread.
+
+        `answered` gets what it showed (Unix ns) and when it was asked (monotonic ns), in this thread.
+        """
+        if system is not None:
+            self._to_ask.append((system, answered))
 
     def close(self) -> None:
         """No more sets."""
@@ -92,6 +120,11 @@ class MavlinkSets:
             link.beat()
             for vehicle in link.vehicles:
                 link.send(vehicle, encode_report(self._assemblies.setdefault(vehicle, SetAssembly()).report))
+        while self._to_ask:
+            system, answered = self._to_ask.popleft()
+            asking = Asking(ClickQuestion(random.randrange(MAX_NUMBER + 1), 0.0, 0.0), time.monotonic())
+            self._asked[system] = _Question(asking, time.monotonic_ns(), answered)
+            link.send(system, asking.packet(time.monotonic()))
 
     def _take_packet(self, vehicle: int, payload: bytes) -> None:
         try:
@@ -102,3 +135,11 @@ class MavlinkSets:
                     self._take(vehicle, *whole)
         except WireError:
             return
+        if (
+            piece is None
+            and vehicle in self._asked
+            and (answer := self._asked[vehicle].asking.take(payload)) is not None
+        ):
+            question = self._asked.pop(vehicle)
+            if answer.capture_unix_ns and answer.age_s is not None:
+                question.answered(answer.capture_unix_ns + round(answer.age_s * 1e9), question.asked_ns)

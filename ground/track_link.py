@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import queue
+import time
 from types import TracebackType
 from typing import Any
 
@@ -14,10 +15,11 @@ from contract.link_config import Tls
 from contract.topics import FOLLOW, TRACKS
 from contract.track import ListTracks, StartTrack, TrackReport, TrackRequest, parameters_of
 from contract.wire.message import read_tracks
-from ground.client import open_link, put_question, several_aircraft
+from ground.client import open_link, put_question, running_session, several_aircraft
 from ground.presence import vehicles_there
 
 MOST_WAITING = 1000  # reports that have not been taken
+ASK_AGAIN_S = 5.0  # which session runs, where reports of another come
 TRIES = 3  # a question to begin the same track again is answered with the same track
 
 
@@ -31,7 +33,9 @@ class TrackLink:
     def __init__(self, endpoint: str, vehicle: str | None, tls: Tls | None = None) -> None:
         self._session: Any = open_link("client", endpoint, tls)
         self._reports: queue.Queue[TrackReport] = queue.Queue(MOST_WAITING)
-        self.unreadable = 0
+        self.unreadable = self.left_out = 0
+        self._running: int | None = None  # session, as the aircraft answered last; None: it gives no answer
+        self._asked_s = -ASK_AGAIN_S
         try:
             self.vehicle = vehicle or self._only_one(endpoint)
             self._subscriber = self._session.declare_subscriber(TRACKS.key(self.vehicle), self._receive)
@@ -59,11 +63,18 @@ class TrackLink:
         raise LinkError(f"aircraft {self.vehicle!r} does not answer; may this certificate follow?")
 
     def next(self, timeout_s: float) -> TrackReport | None:
-        """The next report; None if none came in time."""
+        """The next report; None if none came in time. One of a session that does not run is left out and counted."""
         try:
-            return self._reports.get(timeout=timeout_s)
+            report = self._reports.get(timeout=timeout_s)
         except queue.Empty:
             return None
+        if report.session != self._running and time.monotonic() - self._asked_s >= ASK_AGAIN_S:
+            self._asked_s = time.monotonic()
+            self._running = running_session(self._session, self.vehicle) or self._running
+        if self._running in (None, report.session):
+            return report
+        self.left_out += 1
+        return None
 
     def close(self) -> None:
         """Leave the link; tracks go on without us."""

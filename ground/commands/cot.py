@@ -65,8 +65,8 @@ def run(args: argparse.Namespace) -> int:
     target = Target.of(args.to, args.to_ca, args.to_certificate, args.to_key, args.ttl)
     store = None if args.only_aircraft else PinStore(chosen_store(args.pins, args.store))
     places = None if store is None else Places(store)
-    aircraft = _no_aircraft if args.only_pins else _aircraft(args)
     stale_s = max(STALE_PERIODS * args.period, LEAST_STALE_S)
+    aircraft = _no_aircraft if args.only_pins else _aircraft(args, stale_s)
     with contextlib.ExitStack() as opened_links, CotSender(target) as sender:
         if isinstance(aircraft, _aircraft):
             opened_links.callback(aircraft.close)
@@ -114,8 +114,8 @@ class _aircraft:  # noqa: N801  called like a function
 
     WAIT_S = 3.0  # for the first, so that `--once` has something to send
 
-    def __init__(self, args: argparse.Namespace) -> None:
-        self._vehicle = args.vehicle
+    def __init__(self, args: argparse.Namespace, stale_s: float) -> None:
+        self._vehicle, self._stale_s = args.vehicle, stale_s
         self._tracks, self._spots = ReceivedTracks(), ReceivedSpots()
         self._recording = None if args.recording is None else opened(args.recording)
         if self._recording is not None:
@@ -127,7 +127,7 @@ class _aircraft:  # noqa: N801  called like a function
             subscriptions = {TRACKS.key(vehicle): self._tracks.take, SPOTS.key(vehicle): self._spots.take}
             self._cache = SetCache(endpoint_of(args, tls), vehicle, tls=tls, subscriptions=subscriptions)
             until = time.monotonic() + self.WAIT_S
-            while not self._cache.vehicles and time.monotonic() < until:
+            while time.monotonic() < until and not self():
                 time.sleep(0.05)
 
     def close(self) -> None:
@@ -137,11 +137,17 @@ class _aircraft:  # noqa: N801  called like a function
 
     def tracks(self) -> list[TrackReport]:
         """The newest report of every track that is still being reported."""
-        return self._tracks.newest()
+        if self._recording is not None:
+            return []
+        tracks, ago_s = self._tracks.newest(), self._cache.stamped_ago_s
+        return [r for r in tracks if ago_s(r.vehicle, r.capture_unix_ns) <= self._stale_s]
 
     def dropped(self) -> list[str]:
         """What came and was not accepted, a line for each reason."""
-        return [] if self._recording is not None else self._cache.dropped.lines()
+        if self._recording is not None:
+            return []
+        doubts = [f"{name}: {doubt}" for name in self._cache.vehicles if (doubt := self._cache.doubt(name))]
+        return [*self._cache.dropped.lines(), *doubts]
 
     def found(self) -> list[FoundThing]:
         """What more than one picture shows as a hot spot."""
@@ -150,4 +156,7 @@ class _aircraft:  # noqa: N801  called like a function
     def __call__(self) -> list[FeatureSet]:
         source = self._cache if self._recording is None else self._recording
         names = [n for n in source.vehicles if self._vehicle in (None, n)]
-        return [s for s in (source.newest(name) for name in names) if s is not None]
+        sets = [s for s in (source.newest(name) for name in names) if s is not None]
+        if self._recording is None:  # an event states where something is now
+            sets = [s for s in sets if self._cache.stamped_ago_s(s.vehicle, s.capture_unix_ns) <= self._stale_s]
+        return sets

@@ -19,6 +19,7 @@ from ground.commands.saving import save
 from ground.commands.sources import opened, vehicle_of
 from ground.commands.until_ended import until_ended
 from ground.commands.values import finite, frame_number, positive, whole
+from ground.commands.warnings import Warnings
 from ground.formats import track_path
 from ground.link_options import UsageError, add_tls_arguments, endpoint_of, tls_of
 
@@ -120,7 +121,7 @@ def _recorded(args: argparse.Namespace) -> int:
 def _listen(link: TrackLink, number: int | None, args: argparse.Namespace, kept: list[TrackReport]) -> None:
     """Print reports until the time is over or the track is lost."""
     until_s = None if args.seconds is None else time.monotonic() + args.seconds
-    received_s = time.monotonic()
+    received_s, warnings = time.monotonic(), Warnings()
     count = 0
     while (until_s is None or time.monotonic() < until_s) and count != args.count:
         report = link.next(0.2)
@@ -128,6 +129,8 @@ def _listen(link: TrackLink, number: int | None, args: argparse.Namespace, kept:
             if number is not None and time.monotonic() - received_s > SILENT_S:
                 received_s = time.monotonic()
                 print(f"track {number}: nothing received for {SILENT_S:.0f} s", file=sys.stderr)
+            if link.left_out:
+                warnings.show([f"dropped, reports of a session that does not run: {link.left_out} messages"])
             continue
         received_s = time.monotonic()
         if args.save is None or len(kept) >= MOST_KEPT:

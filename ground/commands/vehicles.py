@@ -12,6 +12,7 @@ from ground.commands import ANSWERED
 from ground.commands.until_ended import until_ended
 from ground.commands.values import positive
 from ground.formats.documents import one_line
+from ground.freshness import stamped_elsewhen
 from ground.link_options import add_tls_arguments, endpoint_of, tls_of
 from ground.presence import Presence, Present
 
@@ -91,7 +92,15 @@ def _cells(one: Present) -> tuple[str, ...]:
     if status is None or one.status_age_s is None:
         return one_line(one.vehicle), link, "-", "-", "-", ""
     seen, rate = f"{one.status_age_s:.1f} s", f"{status.ok_hz:.1f}/s"
-    return one_line(one.vehicle), link, one_line(status.state), seen, rate, one_line(status.reason)
+    reason = "; ".join(text for text in (status.reason, _stamped(one)) if text)
+    return one_line(one.vehicle), link, one_line(status.state), seen, rate, one_line(reason)
+
+
+def _stamped(one: Present) -> str:
+    """How far from now its status was stamped: it is an old one, or a clock is wrong; empty if neither."""
+    if one.status is None or one.status_age_s is None:
+        return ""
+    return stamped_elsewhen(one.status.unix_s, time.time() - one.status_age_s)
 
 
 def _json(one: Present) -> str:
@@ -100,6 +109,7 @@ def _json(one: Present) -> str:
     about = {"vehicle": one.vehicle, "link": "up" if one.is_there else "gone", "last_seen_s": age_s}
     if status is not None:
         about |= {"state": status.state, "reason": status.reason, "ok_hz": status.ok_hz, "frame": status.frame}
+        about["stamped"] = _stamped(one)
     return json.dumps(about)
 
 

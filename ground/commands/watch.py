@@ -12,7 +12,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from contract.error_sources import in_a_line
 from contract.errors import WireError
@@ -28,7 +28,8 @@ from ground.commands.values import positive, whole
 from ground.commands.warnings import Warnings
 from ground.formats.documents import one_line
 from ground.formats.mark import Mark
-from ground.freshness import MAX_AGE_S
+from ground.freshness import MAX_AGE_S, span, stamped_elsewhen
+from ground.last_received import LastReceived
 from ground.link_options import endpoint_of, tls_of
 from ground.received_tracks import SILENT_S, ReceivedTracks
 from ground.recording import Recording
@@ -43,6 +44,7 @@ examples:
 """
 RATE_SPAN_S = 5.0
 SPOTS_SPAN_S = 30.0  # before the newest: hot spots that were seen since then
+OLD_TRACK_S = 60.0  # an older report is no track that is followed now, though it came just now
 _COLUMNS = ("vehicle", "state", "age", "rate", "position", "tracks", "CE90", "reason")
 _WIDTHS = (12, 15, 8, 7, 24, 6, 8, 0)
 
@@ -73,7 +75,7 @@ class Row:
     def cells(self) -> tuple[str, ...]:
         """For the table."""
         return (
-            one_line(self.vehicle), one_line(self.state), "-" if self.age_s is None else _span(self.age_s),
+            one_line(self.vehicle), one_line(self.state), "-" if self.age_s is None else span(self.age_s),
             "-" if self.rate_hz is None else f"{self.rate_hz:.1f}/s",
             "-" if self.lat_deg is None else f"{self.lat_deg:.6f} {self.lon_deg:.6f}",
             "-" if self.tracks is None else str(self.tracks), "-" if self.ce90_m is None else f"{self.ce90_m:.1f} m",
@@ -121,47 +123,71 @@ def run(args: argparse.Namespace) -> int:
                 newest = None
                 if reply is not None and isinstance(reply.answer, FeatureSet):
                     newest = reply.answer if reply.later is None else cache.by_frame(name, reply.later.frame)
-                rows.append(_row(name, newest, received.states.get(name), cache.age_s(name), received.rate_hz(name)))
+                state = received.states.get(name)
+                if state is not None and not cache.is_of_now(name, state.session):
+                    state = None  # it came before the sets of a later session
+                age_s, rate_hz, doubt = cache.age_s(name), received.rate_hz(name), cache.doubt(name)
+                if age_s is None and state is not None and (when := stamped_elsewhen(state.unix_s, time.time())):
+                    doubt = f"the status is {when}: it is old, or a clock is wrong"
+                rows.append(_row(name, newest, state, age_s, rate_hz, doubt))
             if not rows and not args.json:
                 print(f"nothing received yet{f': {cache.link_error}' if cache.link_error else ''}", file=sys.stderr)
-            _show(rows, [*tracks.newest(), *_recent(found)], args.json, is_screen)
+            ago_s = cache.stamped_ago_s
+            followed = [r for r in tracks.newest() if ago_s(r.vehicle, r.capture_unix_ns) <= OLD_TRACK_S]
+            _show(rows, [*followed, *_recent(found)], args.json, is_screen)
             warnings.show(cache.dropped.lines(), always=is_screen)
             shown += 1
     return ANSWERED
 
 
+@dataclass(eq=False)
+class _OfVehicle:
+    """What came from one vehicle: its last status, and when its sets did."""
+
+    state: VehicleStatus | None = None
+    times: deque[float] = field(default_factory=lambda: deque(maxlen=1000))
+
+
 class _Received:
     """Status and rates of the vehicles; filled from zenoh's thread."""
 
-    MOST = 1000  # vehicles: a peer may invent names
-
     def __init__(self) -> None:
-        self.states: dict[str, VehicleStatus] = {}
-        self._times: dict[str, deque[float]] = {}
+        self._vehicles = LastReceived(lambda _: _OfVehicle())
         self._lock = threading.Lock()
+
+    @property
+    def states(self) -> dict[str, VehicleStatus]:
+        with self._lock:
+            held = {name: self._vehicles.get(name) for name in self._vehicles}
+        return {name: one.state for name, one in held.items() if one is not None and one.state is not None}
 
     def status(self, key: str, payload: bytes) -> None:
         try:
             vehicle, status = read_status(key, payload)
         except (ValueError, WireError):
             return
-        if vehicle in self.states or len(self.states) < self.MOST:
-            self.states[vehicle] = status
+        with self._lock:
+            self._vehicles.of(vehicle).state = status
 
     def set(self, feature_set: FeatureSet, size: int) -> None:
         with self._lock:
-            if feature_set.vehicle in self._times or len(self._times) < self.MOST:
-                self._times.setdefault(feature_set.vehicle, deque(maxlen=1000)).append(time.monotonic())
+            self._vehicles.of(feature_set.vehicle).times.append(time.monotonic())
 
     def rate_hz(self, vehicle: str) -> float | None:
         with self._lock:
-            times = list(self._times.get(vehicle, ()))
+            held = self._vehicles.get(vehicle)
+            times = [] if held is None else list(held.times)
         since = time.monotonic() - RATE_SPAN_S
         return sum(t >= since for t in times) / RATE_SPAN_S if times else None
 
 
 def _row(
-    vehicle: str, newest: FeatureSet | None, status: VehicleStatus | None, age_s: float | None, rate_hz: float | None
+    vehicle: str,
+    newest: FeatureSet | None,
+    status: VehicleStatus | None,
+    age_s: float | None,
+    rate_hz: float | None,
+    doubt: str = "",
 ) -> Row:
     state, reason = ("", "") if status is None else (status.state, status.reason)
     ce90 = None
@@ -173,7 +199,10 @@ def _row(
         state = state or newest.status.value
         reason = reason or ("" if mark.is_placed else mark.reason)
     if age_s is not None and age_s > MAX_AGE_S:
-        state, reason = "no link", f"nothing received for {_span(age_s)}" + (f"; last: {state}" if state else "")
+        last = f"; last: {state}" if state else ""
+        state, reason = ("old?", doubt + last) if doubt else ("no link", f"nothing received for {span(age_s)}" + last)
+    elif doubt:
+        reason = "; ".join(text for text in (reason, doubt) if text)
     is_placed = newest is not None and newest.is_ok
     height = None
     if newest is not None and is_placed:
@@ -223,7 +252,3 @@ def _show(rows: list[Row], things: Sequence[TrackReport | FoundThing], as_json: 
 
 def _line(cells: tuple[str, ...]) -> str:
     return " ".join(f"{cell:<{width}}" for cell, width in zip(cells, _WIDTHS, strict=True)).rstrip()
-
-
-def _span(seconds: float) -> str:
-    return f"{seconds:.1f} s" if seconds < 100.0 else f"{seconds / 60.0:.0f} min"

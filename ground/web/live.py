@@ -25,6 +25,7 @@ from contract.track import TrackRequest
 from contract.vehicle_status import VehicleStatus
 from contract.wire.message import read_set, read_status
 from ground.client import PICTURE_TIMEOUT_S, SetCache, inquire
+from ground.last_received import LastReceived
 from ground.link_pictures import PictureCache
 from ground.mavlink_endpoint import SCHEME
 from ground.spots.received import ReceivedSpots
@@ -73,7 +74,7 @@ class LiveSource:
         self.name = ", ".join(endpoints)
         self._tls = tls
         self._lock = threading.Lock()
-        self._received: dict[str, _Received] = {}
+        self._received = LastReceived(lambda _: _Received(), MAX_VEHICLES)
         self._under_way: dict[tuple[str, int], threading.Event] = {}  # questions, until each has its answer
         self._asked: OrderedDict[tuple[str, int], tuple[float, FeatureSet | None]] = OrderedDict()
         self._caches: dict[str, SetCache] = {}
@@ -112,7 +113,7 @@ class LiveSource:
     def version(self, vehicle: str) -> int:
         """Counts sets as they come, and for a picture the sets since its own: so many of the newest rows changed."""
         with self._lock:
-            return self._received[vehicle].version if vehicle in self._received else 0
+            return 0 if (known := self._received.get(vehicle)) is None else known.version
 
     def frames(self, vehicle: str, newest: int | None = None) -> list[FrameRow]:
         """What was received of the session that runs."""
@@ -161,6 +162,10 @@ class LiveSource:
         sets_hz, bit_rate = known.rates(now_s)
         entries = self._entries(vehicle)
         newest = entries[-1].item if entries else None
+        status = known.status
+        if status is not None and not self._is_of_now(vehicle, status.session):
+            status = None
+        trouble = "" if cache is None else "; ".join(t for t in (cache.link_error, cache.doubt(vehicle)) if t)
         return VehicleReport(
             vehicle,
             0 if newest is None else newest.session,
@@ -169,8 +174,8 @@ class LiveSource:
             now_s - known.at_s,
             sets_hz,
             bit_rate,
-            known.status,
-            "" if cache is None else cache.link_error,
+            status,
+            trouble,
         )
 
     def unfollowed(self, vehicle: str) -> str:
@@ -256,10 +261,9 @@ class LiveSource:
         """So many sets of before are there now; the vehicle was last received at least that long ago."""
         with self._lock:
             is_new = vehicle not in self._received
-            known = self._known(vehicle)
-            if known is not None:
-                known.version += count
-                known.at_s = time.monotonic() - age_s if is_new else known.at_s
+            known = self._received.of(vehicle)
+            known.version += count
+            known.at_s = time.monotonic() - age_s if is_new else known.at_s
 
     def _newest(self, vehicle: str) -> tuple[int, float] | None:
         entries = self._entries(vehicle)
@@ -282,7 +286,7 @@ class LiveSource:
             cache.bring_in(found)
             since = sum(entry.frame >= found.frame for entry in self._entries(vehicle))
             with self._lock:
-                self._received[vehicle].version += max(since, 1)
+                self._received.of(vehicle).version += max(since, 1)
         return found
 
     def _of(self, vehicle: str) -> tuple[str, SetCache | None]:
@@ -297,11 +301,10 @@ class LiveSource:
     def _note_set(self, feature_set: FeatureSet, size: int) -> None:
         now_s = time.monotonic()
         with self._lock:
-            known = self._known(feature_set.vehicle)
-            if known is not None:
-                known.version += 1
-                known.at_s = now_s
-                known.sets.append((now_s, size))
+            known = self._received.of(feature_set.vehicle)
+            known.version += 1
+            known.at_s = now_s
+            known.sets.append((now_s, size))
 
     def _note_picture(self, key: str, payload: bytes) -> None:
         picture = self._pictures.take(key, payload)
@@ -309,10 +312,9 @@ class LiveSource:
             return
         since = sum(e.frame >= picture.frame for e in self._entries(picture.vehicle))
         with self._lock:
-            known = self._known(picture.vehicle)
-            if known is not None:
-                known.version += max(since, 1)
-                known.at_s = time.monotonic()
+            known = self._received.of(picture.vehicle)
+            known.version += max(since, 1)
+            known.at_s = time.monotonic()
 
     def _entries(self, vehicle: str) -> list[Entry[FeatureSet]]:
         _, cache = self._of(vehicle)
@@ -324,14 +326,12 @@ class LiveSource:
         except (WireError, ValueError):
             return
         with self._lock:
-            known = self._known(vehicle)
-            if known is not None:
-                known.status, known.at_s = status, time.monotonic()
+            known = self._received.of(vehicle)
+            known.status, known.at_s = status, time.monotonic()
 
-    def _known(self, vehicle: str) -> _Received | None:
-        if vehicle not in self._received and len(self._received) < MAX_VEHICLES:
-            self._received[vehicle] = _Received()
-        return self._received.get(vehicle)
+    def _is_of_now(self, vehicle: str, session: int) -> bool:
+        """Whether what states this session is of the one that runs, wherever the vehicle is received."""
+        return all(cache.is_of_now(vehicle, session) for cache in self._caches.values() if vehicle in cache.vehicles)
 
     def _ask(self, endpoint: str, vehicle: str, frame: int) -> FeatureSet | None:
         """The aircraft's own set of a frame; what it does not have is not asked for again at once.

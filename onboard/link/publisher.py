@@ -223,7 +223,7 @@ class Publisher:
         packet = one_packet(s, payload)
         offer = Offer(s.session, s.frame, s.revision, s.capture_unix_ns, s.is_ok, s.is_keyframe, packet)
         with self._changed:
-            self._history.add(s, packet)
+            self._history.add(s, packet, runs=True)  # what is made now is of the session that runs
             self._set_clock.captured(s.session, s.capture_unix_ns, time.monotonic_ns())
             self._selection.offer(offer)
             self._pending.made(s.frame)

@@ -1,12 +1,11 @@
 import dataclasses
-import itertools
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from contract.feature_set import FeatureSet, Status
-from contract.history import IN_A_ROW, History
+from contract.history import History
 from tests.contract.sets import plain_set
 
 OK = plain_set(1)
@@ -44,25 +43,30 @@ def test_a_new_session_takes_the_place_of_the_old_at_once() -> None:
     assert history.frame(5) is None and len(history) == 1 and history.session == OK.session + 1
 
 
-def test_a_late_packet_of_an_earlier_session_changes_nothing() -> None:
-    """One such packet used to leave 1 of 100 sets."""
+def test_however_many_sets_of_an_earlier_session_come_they_change_nothing() -> None:
+    """Five in a row used to be taken for the session that runs."""
     history = filled(*(at(i, i) for i in range(100)))
-    for late in range(IN_A_ROW - 1):
+    for late in range(20):
         history.add(earlier := at(late, 1000.0 + late, session=OK.session - 50), earlier)
     newest = history.newest()
     assert len(history) == 100 and newest is not None and newest.frame == 99 and newest.session == OK.session
 
 
-def test_an_aircraft_whose_clock_was_set_back_is_received_again() -> None:
-    """Started again without a clock battery it counts from an earlier second, and its sets keep coming."""
+def test_an_aircraft_whose_clock_was_set_back_runs_when_that_is_known() -> None:
+    """Started again without a clock battery it counts from an earlier second; who has asked it knows."""
     history = filled(*(at(i, i) for i in range(100)))
-    again = [at(i, i, session=OK.session - 3600) for i in range(IN_A_ROW + 20)]
-    for count, s in enumerate(again, 1):
+    again = [at(i, i, session=OK.session - 3600) for i in range(20)]
+    for s in again[:10]:
         history.add(s, s)
-        assert history.session == (OK.session if count < IN_A_ROW else OK.session - 3600)
-    assert len(history) == len(again)  # those before it was accepted too
+    assert history.session == OK.session
+    history.run(OK.session - 3600)
+    assert history.session == OK.session - 3600 and len(history) == 10  # those before it was known too
+    for s in again[10:]:
+        history.add(s, s)
     history.add(late := at(100, 100.0), late)
-    assert history.session == OK.session - 3600
+    assert history.session == OK.session - 3600 and len(history) == len(again)
+    history.add(made := at(0, 0.0, session=1), made, runs=True)  # as on board, where what is made is what runs
+    assert history.session == 1
 
 
 @st.composite
@@ -73,8 +77,7 @@ def delivered(draw: st.DrawFn) -> tuple[list[FeatureSet], int]:
     lengths = draw(st.lists(st.integers(1, 12), min_size=1, max_size=4))
     for session, length in enumerate(lengths, 100):
         for frame in range(length):
-            # At most so much later that fewer than IN_A_ROW of a session arrive after the first of the next.
-            delay = draw(st.floats(0.0, IN_A_ROW - 1.5))
+            delay = draw(st.floats(0.0, 3.5))
             packets.append((sent + delay, at(frame, float(frame), is_ok=draw(st.booleans()), session=session)))
             sent += 1
     return [s for _, s in sorted(packets, key=lambda pair: pair[0])], 99 + len(lengths)
@@ -93,26 +96,23 @@ def test_late_packets_of_several_sessions_leave_the_last_whole(simulated: tuple[
 
 @settings(deadline=None, max_examples=300)
 @given(st.lists(st.tuples(st.integers(1, 4), st.integers(0, 9), st.integers(0, 2)), max_size=60))
-def test_in_any_order_what_is_handed_out_is_of_one_session_and_five_in_a_row_decide(
-    rows: list[tuple[int, int, int]],
-) -> None:
+def test_in_any_order_what_is_handed_out_is_of_the_latest_session(rows: list[tuple[int, int, int]]) -> None:
     history: History[FeatureSet] = History()
     received: list[FeatureSet] = []
     for session, frame, revision in rows:
-        before = history.session
         received.append(s := at(frame, float(frame), revision, session=session))
         history.add(s, s)
         found = [item for frame in range(10) if (item := history.frame(frame)) is not None]
+        assert history.session == max(h.session for h in received)
         assert {item.session for item in found} == {history.session}
         assert all(any(item is h for h in received) for item in found)
-        row = list(itertools.takewhile(lambda h: h.session == s.session, reversed(received)))
-        if len(row) >= IN_A_ROW or session > max((h.session for h in received[:-1]), default=-1):
-            assert history.session == session
-            best = {h.frame: h for h in sorted(row, key=lambda h: h.revision)}
-            held = {frame: history.frame(frame) for frame in best}
-            assert all(h is not None and h.revision >= best[frame].revision for frame, h in held.items())
-        else:
-            assert history.session == before
+
+
+def test_what_is_stamped_later_than_can_be_is_forgotten() -> None:
+    history = filled(at(0, 0.0), at(1, 1.0), at(2, 3600.0), max_age_s=5000.0)
+    history.forget_after(OK.session, 60 * 10**9)
+    assert [e.frame for e in history.ordered()] == [0, 1] and (newest := history.newest()) and newest.frame == 1
+    history.forget_after(OK.session + 1, 0)  # of which nothing is kept
 
 
 @pytest.mark.parametrize("sessions", [3, 50])

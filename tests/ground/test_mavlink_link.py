@@ -68,6 +68,7 @@ class Aircraft:
         config = parse_config(f"[telemetry]\nsystem = {system}\n")
         self.radio = AutopilotRadio("uav-1", self._look_up, lambda _: 0.25, 1e5, is_signed=key is not None)
         self.wire, self.system = Wire(port), system
+        self.newest = PAYLOAD
         self.end, self.autopilot = PymavlinkEnd(config, key), PymavlinkEnd(config, key)
         self.autopilot._mav.srcComponent = 1
         self.end.attach(self.wire)  # type: ignore[arg-type]
@@ -76,9 +77,8 @@ class Aircraft:
         self.received: list[str] = []
         self.stop, self.has_ended = threading.Event(), threading.Event()
 
-    @staticmethod
-    def _look_up(asked: Question) -> Answer | None:
-        return Answer(PAYLOAD, b'{"age_s":0.25}')
+    def _look_up(self, asked: Question) -> Answer | None:
+        return Answer(self.newest, b'{"age_s":0.25}')
 
     def run(self) -> None:
         beat_s = 0.0
@@ -191,6 +191,7 @@ def test_watch_and_record_show_and_keep_the_sets_that_come_in_pieces(
 
         assert eventually(is_kept)
         aircraft.radio.feed.offer(a_set(3))
+        aircraft.newest = a_set(3).item
         rows: list[dict[str, Any]] = []
         began_s = time.monotonic()
 
@@ -198,7 +199,7 @@ def test_watch_and_record_show_and_keep_the_sets_that_come_in_pieces(
             capsys.readouterr()
             assert main(["watch", "--connect", radio, "--json", "--count", "3", "--period", "1"]) == 0
             rows.extend(json.loads(line) for line in capsys.readouterr().out.splitlines())
-            return bool(rows) and rows[-1]["frame"] == 3
+            return bool(rows) and rows[-1]["frame"] == 3 and "the aircraft's clock is 3 years" in rows[-1]["reason"]
 
         assert eventually(is_shown), rows
         took_s = time.monotonic() - began_s

@@ -248,6 +248,8 @@ def test_a_listener_that_comes_later_knows_how_old_the_repeated_picture_is(aircr
     with SetCache(endpoint) as cache:
         # The last of the ten: older ones that the link had not carried yet may come before it.
         assert eventually(lambda: (newest := cache.newest("uav-1")) is not None and newest.frame == 9)
+        # Until it has answered what its clock shows, its pictures may be as old as the clocks differ.
+        assert eventually(lambda: cache.doubt("uav-1").startswith("the aircraft's clock is 9 years behind"))
         asking = Since()
         reply, age_s = cache.reply("uav-1"), cache.age_s("uav-1")
         assert reply is not None and reply.age_s is not None

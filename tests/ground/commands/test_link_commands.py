@@ -35,11 +35,17 @@ SETS = [
 ]
 
 
+class Link(str):
+    """Its endpoint, and the aircraft's session."""
+
+    session: zenoh.Session
+
+
 @pytest.fixture
-def link() -> Iterator[str]:
+def link() -> Iterator[Link]:
     """An aircraft that says its sets again and again, and its status; and somebody who says nonsense."""
-    endpoint = free_endpoint()
-    session = zenoh.open(zenoh.Config.from_json5(link_config("peer", listen=[endpoint])))
+    endpoint = Link(free_endpoint())
+    session = endpoint.session = zenoh.open(zenoh.Config.from_json5(link_config("peer", listen=[endpoint])))
     stop = threading.Event()
     status = VehicleStatus(START_NS / 1e9, 7, "ok", tracks=77, cpu_c=51.0, shares={"mount": 60, "gps": 21})
 
@@ -124,8 +130,15 @@ def test_a_folder_that_cannot_be_used_is_reported(tmp_path: Path, capsys: pytest
     assert len(capsys.readouterr().err.splitlines()) == 1
 
 
-def test_watching_shows_state_age_rate_position_and_accuracy(link: str, capsys: pytest.CaptureFixture[str]) -> None:
+def answers(query: zenoh.Query) -> None:
+    """The newest set, and how old its picture is, by the aircraft's own clock, which is years behind."""
+    with query:
+        query.reply(FEATURES.key("uav-1"), encode(SETS[-1]), attachment=b'{"age_s":0.1}')
+
+
+def test_watching_shows_state_age_rate_position_and_accuracy(link: Link, capsys: pytest.CaptureFixture[str]) -> None:
     rows: list[dict[str, Any]] = []
+    link.session.declare_queryable(FEATURES.key("uav-1"), answers)
 
     def is_shown() -> bool:
         """In the second of two tables, or once more where a busy machine received too little by then."""

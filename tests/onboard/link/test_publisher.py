@@ -194,7 +194,7 @@ def test_garbage_on_the_key_is_counted_and_does_no_harm(endpoint: str) -> None:
     with SetCache(endpoint) as cache, zenoh_peer(endpoint) as session:
 
         def spoilt() -> bool:
-            session.put("pc/uav-1/features", b"PC\x20 nonsense")
+            session.put("pc/uav-1/features", b"PC\x40 nonsense")
             session.put("pc/uav-1/features", encode(a_set(0)))
             return cache.dropped.unreadable > 0 and cache.newest("uav-1") is not None
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from ground.track_link import TrackLink, TrackRefused
 from onboard.link.byte_budget import Budget, Kind
 from onboard.link.certificates import make_credentials
 from onboard.link.publisher import Publisher, Rate
+from tests.contract.sets import plain_set
 from tests.contract.test_track_code import REPORT
 from tests.onboard.link.asking import answered
 from tests.onboard.link.ports import free_endpoint
@@ -51,6 +53,25 @@ def test_a_track_is_asked_for_and_its_reports_are_received() -> None:
             assert eventually(lambda: is_told(encode_track(REPORT) * 2))
             assert set(received) == {REPORT.to_text()} and link.unreadable == 0
             assert eventually(lambda: is_told(b"\xff" * 30) and link.unreadable > 0)
+
+
+def test_reports_of_a_session_that_does_not_run_are_left_out() -> None:
+    """The aircraft is asked which one does: a track of yesterday may have the same number."""
+    endpoint = free_endpoint()
+    made = dataclasses.replace(plain_set(20), session=REPORT.session)
+    old = dataclasses.replace(REPORT, session=REPORT.session - 100)
+    with Publisher("uav-1", [endpoint], rate=WIDE) as flying, TrackLink(endpoint, "uav-1") as link:
+        flying.publish(made)
+
+        def is_received() -> bool:
+            flying.publish_tracks(encode_track(old) + encode_track(REPORT))
+            return link.next(0.2) is not None and link.left_out > 0
+
+        assert eventually(is_received)
+        for _ in range(20):
+            flying.publish_tracks(encode_track(old) + encode_track(REPORT))
+            report = link.next(0.05)
+            assert report is None or report.session == REPORT.session
 
 
 def test_a_refusal_has_the_aircrafts_reason() -> None:

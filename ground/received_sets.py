@@ -1,0 +1,142 @@
+"""One vehicle's sets as they are received: which session runs, how old its pictures are, and what to ask of it. No I/O.
+
+A set that was put on the link yesterday can come again today, and so can one that a fault has stamped an hour ahead.
+Neither takes the place of what runs: a later session does, whose clock agrees with the ground's; and any session that
+the aircraft itself, asked, answers with.
+"""
+
+from __future__ import annotations
+
+from contract.feature_set import FeatureSet
+from contract.history import History
+from ground.aircraft_clock import AGREED_S, AHEAD_S, AircraftClock, Moment
+from ground.freshness import STATED_S, Later, Reply, span
+
+SILENT_S = 10.0  # without a set of the session that ran, after which a later one may be the next, though it is doubtful
+ASK_S, MOST_ASK_S = 5.0, 60.0  # between questions to one vehicle, twice as long each time
+
+
+class ReceivedSets:
+    """The sets of a vehicle, bounded as `History` is, with the clock of each session that is kept."""
+
+    def __init__(self, vehicle: str, max_age_s: float, max_sets: int) -> None:
+        self.vehicle = vehicle
+        self.history: History[FeatureSet] = History(max_age_s, max_sets)
+        self._clocks: dict[int, AircraftClock] = {}
+        self._ran_ns = 0  # monotonic, when a set of the session that runs came last
+        self._is_contradicted = False  # since the last answer
+        self._ask_at_ns, self._pause_s, self._is_unanswered = 0, ASK_S, False
+
+    @property
+    def clock(self) -> AircraftClock | None:
+        """The clock of the session that runs; None before a set of it was received."""
+        session = self.history.session
+        return None if session is None else self._clocks.get(session)
+
+    def take(self, s: FeatureSet, age_s: float | None, now: Moment) -> str:
+        """A set that came now, and its picture's age when it was sent; why it is left out, or nothing."""
+        clock = self._clocks.setdefault(s.session, AircraftClock())
+        if not clock.received(s.capture_unix_ns + round((age_s or 0.0) * 1e9), now):
+            self._is_contradicted = True
+            return f"{self.vehicle!r} stamps sets more than {AHEAD_S:.0f} s ahead of its own clock"
+        self.history.forget_after(s.session, clock.latest_unix_ns(now))
+        self.history.add(s, s, runs=self._runs(s.session, clock, now))
+        self._forget_clocks()
+        if s.session != self.history.session:
+            self._is_contradicted = True
+            return f"{self.vehicle!r} sends sets of session {s.session}, and {self.history.session} runs"
+        self._ran_ns = now.monotonic_ns
+        return ""
+
+    def bring_in(self, s: FeatureSet) -> None:
+        """Keep a set of an earlier run, or one that was asked for: it gives no information on the aircraft's clock."""
+        self.history.add(s, s, runs=None if self.clock is None else False)
+        self._forget_clocks()
+
+    def answered(self, session: int, sent_unix_ns: int | None, asked_ns: int, now: Moment) -> None:
+        """The aircraft answered a question that was put at `asked_ns` with a set of this session.
+
+        `sent_unix_ns`: what its clock showed when the question came, if that is known.
+        """
+        if session != self.history.session:
+            self.history.run(session)
+            self._ran_ns = now.monotonic_ns
+        clock = self._clocks.setdefault(session, AircraftClock())
+        if sent_unix_ns is not None:
+            clock.answered(sent_unix_ns, asked_ns, now.monotonic_ns)
+            self.history.forget_after(session, clock.latest_unix_ns(now))
+        self._is_contradicted = self._is_unanswered = False
+        self._forget_clocks()
+
+    def answered_by_radio(self, sent_unix_ns: int, asked_ns: int, now: Moment) -> None:
+        """As `answered`, without the session: it is the one whose clock fits best."""
+        fits = min(self._clocks, key=lambda n: abs(self._clocks[n].now_unix_ns(now) - sent_unix_ns), default=None)
+        if fits is not None:
+            self.answered(fits, sent_unix_ns, asked_ns, now)
+
+    def is_to_be_asked(self, now: Moment) -> bool:
+        """Whether the aircraft is to be asked now what its clock shows and which session runs; counted as asked."""
+        clock = self.clock
+        if clock is None and not self._clocks:
+            return False  # nothing came by itself
+        is_contradicted = self._is_contradicted or clock is None or clock.is_contradicted
+        if not is_contradicted and clock is not None and clock.is_certain(now):
+            self._pause_s = ASK_S
+            return False
+        if now.monotonic_ns < self._ask_at_ns:
+            return False
+        self._ask_at_ns = now.monotonic_ns + round(self._pause_s * 1e9)
+        self._pause_s, self._is_unanswered = min(2.0 * self._pause_s, MOST_ASK_S), True
+        return True
+
+    def age_s(self, capture_unix_ns: int, now: Moment) -> float | None:
+        """Seconds since a picture of the session that runs was taken, at most; None before a set of it came."""
+        clock = self.clock
+        return None if clock is None else clock.age_s(capture_unix_ns, now)
+
+    def is_of_now(self, session: int) -> bool:
+        """Whether what states this session is of the one that runs, or of a later one; true before any set came.
+
+        A status states session 0 before its session's first picture.
+        """
+        running = self.history.session
+        return session == 0 or running is None or session >= running
+
+    def reply(self, now: Moment) -> Reply | None:
+        """The newest set that answers with its age, and what is known of a newer one that refuses."""
+        found, latest = self.history.newest_entry(), self.history.newest_picture()
+        if found is None or latest is None or self.clock is None:
+            return None
+        later = None
+        if latest is not found:
+            later = Later(latest.status, latest.frame, self.age_s(latest.capture_unix_ns, now))
+        return Reply(found.item, self.age_s(found.capture_unix_ns, now), later, doubt=self.doubt(now))
+
+    def doubt(self, now: Moment) -> str:
+        """What is to be known of the aircraft's clock, in words; empty where it agrees with the ground's."""
+        clock = self.clock
+        if clock is None or abs(clock.behind_s(now)) <= (STATED_S if clock.is_asked else AGREED_S):
+            return ""
+        behind_s = clock.behind_s(now)
+        by = f"{span(abs(behind_s))} {'behind' if behind_s > 0.0 else 'ahead of'} this computer's clock"
+        if clock.is_asked:
+            return f"the aircraft's clock is {by}"
+        what = "they are old, or a clock is wrong" if behind_s > 0.0 else "a clock is wrong"
+        asked = ", and the aircraft does not answer which" if self._is_unanswered else ""
+        return f"pictures are stamped {by}: {what}{asked}"
+
+    def _runs(self, session: int, clock: AircraftClock, now: Moment) -> bool:
+        """Whether a set that came now shows that its session is the one that runs."""
+        running = self.history.session
+        if running in (None, session):
+            return True
+        held = self.clock
+        is_held_certain = held is not None and held.is_certain(now)
+        if session > self.history.highest:
+            is_silent = now.monotonic_ns - self._ran_ns > SILENT_S * 1e9
+            return clock.is_certain(now) or not is_held_certain or is_silent
+        return clock.is_certain(now) and not is_held_certain
+
+    def _forget_clocks(self) -> None:
+        kept = self.history.sessions
+        self._clocks = {number: clock for number, clock in self._clocks.items() if number in kept}
