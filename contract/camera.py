@@ -11,12 +11,13 @@ import json
 from dataclasses import InitVar, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from contract.errors import InputError
+from contract.stated_values import check_keys, number, numbers, object_of, whole
 from contract.zoom_table import ZoomTable
 
 Array = NDArray[np.float64]
@@ -27,6 +28,19 @@ Sigma = tuple[float, float, float, float, float]
 # sheet give the focal length to some per cent, and k1 and k2 to about this.
 UNKNOWN_SIGMA = (0.02, 0.01, 0.01, 0.05, 0.05)
 SIGMA_KEYS = ("fx", "cx", "cy", "k1", "k2")  # of a camera file's calibration, in the order of `Camera.sigma`
+DISTORTION = "distortion_opencv_k1_k2_p1_p2_k3"
+KEYS = ("model", "size_px", "fx_px", "fy_px", "cx_px", "cy_px", DISTORTION, "calibration", "zoom")
+# What `calibrate` writes of how good it is; only the sigmas are used.
+ABOUT = (
+    *("sigma", "verdict", "views", "reprojection_rms_px", "distortion_model", "worst_direction_sigma_px"),
+    "from_flight",
+)
+ALL_SIGMAS = (*SIGMA_KEYS, "fy", "p1", "p2", "k3")
+# Of what a lens without a fisheye's projection can be: 157 to 0.3 degrees wide; pixels up to twice as wide as high.
+FOCAL_SHARES = (0.1, 200.0)  # of the picture's longer side
+MAX_ASPECT = 2.0
+MAX_SIZE_PX = 100_000
+MAX_COEFFICIENT = 1e6  # of a long lens, whose picture ends at a hundredth of its focal length
 # Where the radial polynomial's slope has fallen this low, a pixel of noise is three in normalised coordinates: the
 # calibration is extrapolating towards its fold and is not used.
 MIN_RADIAL_SLOPE = 0.3
@@ -81,38 +95,41 @@ class Camera:
     @classmethod
     def from_text(cls, text: str, what: str) -> Camera:
         """The text of a camera file; `what` names it in an InputError."""
-        try:
-            raw: dict[str, Any] = json.loads(text)
-        except ValueError as error:
-            raise InputError(f"{what}: not JSON ({error})") from error
-        try:
-            if raw.get("model", "pinhole") != "pinhole":
-                raise InputError(f"{what}: model {raw['model']!r} is not known; use 'pinhole'")
-            width, height = (int(n) for n in raw["size_px"])
-            coefficients = [float(c) for c in raw.get("distortion_opencv_k1_k2_p1_p2_k3", [0.0] * 5)]
-            numbers = [float(raw[key]) for key in ("fx_px", "fy_px", "cx_px", "cy_px")]
-            stated = raw.get("calibration", {}).get("sigma")
-            sigmas = None if stated is None else [float(stated[key]) for key in SIGMA_KEYS]
-        except KeyError as error:
-            raise InputError(f"{what}: key {error.args[0]!r} is missing") from error
-        except (TypeError, ValueError, AttributeError) as error:
-            raise InputError(f"{what}: {error}") from error
-        if len(coefficients) != 5:
-            raise InputError(f"{what}: distortion needs 5 coefficients, not {len(coefficients)}")
-        if not np.all(np.isfinite(numbers + coefficients)) or min(width, height) < 16 or min(numbers[:2]) <= 0:
-            raise InputError(f"{what}: size and focal lengths must be positive and every number finite")
-        if sigmas is not None and not (np.all(np.isfinite(sigmas)) and min(sigmas) >= 0.0):
-            raise InputError(f"{what}: sigmas must be finite and not negative")
-        k1, k2, p1, p2, k3 = coefficients
-        fx, fy, cx, cy = numbers
+        raw = object_of(text, what)
+        check_keys(raw, KEYS, what, needed=KEYS[1:6])
+        if raw.get("model", "pinhole") != "pinhole":
+            raise InputError(f"{what}: model {raw['model']!r} is not known; use 'pinhole'")
+        size = raw["size_px"]
+        if not isinstance(size, list) or len(size) != 2:
+            raise InputError(f"{what}: size_px must be a list of width and height")
+        width, height = (whole(n, 16, MAX_SIZE_PX, f"{what}: size_px") for n in size)
+        low, high = (share * max(size) for share in FOCAL_SHARES)
+        fx, fy = (number(raw[key], low, high, f"{what}: {key}") for key in KEYS[2:4])
+        if not 1.0 / MAX_ASPECT <= fx / fy <= MAX_ASPECT:
+            raise InputError(f"{what}: fx_px is {fx / fy:.3g} times fy_px: no pixel has such a shape")
+        cx = number(raw["cx_px"], -0.5, width - 0.5, f"{what}: cx_px")
+        cy = number(raw["cy_px"], -0.5, height - 0.5, f"{what}: cy_px")
+        k1, k2, p1, p2, k3 = numbers(raw.get(DISTORTION, [0.0] * 5), 5, MAX_COEFFICIENT, f"{what}: {DISTORTION}")
         zoom = None if raw.get("zoom") is None else ZoomTable.from_json(raw["zoom"], what)
         camera = cls(width, height, fx, fy, cx, cy, (k1, k2, p1, p2, k3), UNKNOWN_SIGMA, zoom)
+        camera.check_use(what)
+        sigmas = _stated_sigmas(raw.get("calibration"), f"{what}: calibration")
         if sigmas is None:
             return camera
         f = camera.focal_px
         return replace(
             camera, stated_zoom=zoom, stated_sigma=(sigmas[0] / fx, sigmas[1] / f, sigmas[2] / f, sigmas[3], sigmas[4])
         )
+
+    def check_use(self, what: str) -> None:
+        """Raise InputError where half of the picture or more has no ray: no lens is such, its distortion is wrong."""
+        grid = np.stack(np.meshgrid(*(np.linspace(0.0, n - 1.0, 9) for n in self.size_px)), axis=-1)
+        share = float(np.mean(self.unproject(grid)[1]))
+        if share < 0.5:
+            raise InputError(
+                f"{what}: by its distortion only {100.0 * share:.0f} % of the picture can be used; are the "
+                "coefficients OpenCV's k1, k2, p1, p2, k3, and for this size?"
+            )
 
     def to_json(self) -> str:
         """The camera file's text; `from_json` reads it back exactly."""
@@ -124,7 +141,7 @@ class Camera:
                 "fy_px": self.fy_px,
                 "cx_px": self.cx_px,
                 "cy_px": self.cy_px,
-                "distortion_opencv_k1_k2_p1_p2_k3": list(self.distortion),
+                DISTORTION: list(self.distortion),
                 "calibration": {"sigma": dict(zip(SIGMA_KEYS, self._sigma_as_written(), strict=True))},
                 **({} if self.zoom is None else {"zoom": self.zoom.to_json()}),
             },
@@ -289,3 +306,19 @@ class Camera:
         along = scale + squares * slope + 4.0 * tangential * xy
         cross = xy[0] * xy[1] * slope + 2.0 * (p1 * xy[0] + p2 * xy[1])
         return there, along, cross
+
+
+def _stated_sigmas(raw: object, what: str) -> list[float] | None:
+    """The calibration's sigmas in the order of `SIGMA_KEYS`; None if it states none. Raises InputError."""
+    if raw is None:
+        return None
+    if not isinstance(raw, dict):
+        raise InputError(f"{what} must be a JSON object")
+    check_keys(raw, ABOUT, what)
+    stated = raw.get("sigma")
+    if stated is None:
+        return None
+    if not isinstance(stated, dict):
+        raise InputError(f"{what}.sigma must be a JSON object")
+    check_keys(stated, ALL_SIGMAS, f"{what}.sigma", needed=SIGMA_KEYS)
+    return [number(stated[key], 0.0, 1e6, f"{what}.sigma: {key}") for key in SIGMA_KEYS]

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from contract.errors import InputError
+from contract.stated_values import check_keys
 from contract.topics import DEFAULT_ENDPOINT
 
 FLEET_FILE = "fleet.toml"
@@ -82,9 +83,7 @@ def read_fleet(path: Path) -> Fleet:
         raise InputError(f"{path}: {error}") from error
     if len(text) > MAX_BYTES:
         raise InputError(f"{path}: more than {MAX_BYTES} bytes")
-    unknown = sorted(set(content) - set(_MEANINGS))
-    if unknown:
-        raise InputError(f"{path}: no key {unknown[0]!r}; there are {', '.join(_MEANINGS)}")
+    check_keys(content, tuple(_MEANINGS), str(path))
     return checked(Fleet(**{key: _value(path, key, value) for key, value in content.items()}), str(path))
 
 

@@ -15,9 +15,11 @@ from typing import Any, Literal
 import numpy as np
 
 from contract.errors import InputError
+from contract.stated_values import check_keys, numbers
 
 Unit = Literal["times", "percent"]
 COLUMNS = ("position", "focal_px", "cx_px", "cy_px", "k1")
+MAX_NUMBER = 1e7
 MAX_BEYOND = 1.3  # times the table's ends, up to which a magnification or a focal length is accepted
 
 
@@ -37,17 +39,11 @@ class ZoomTable:
         """The value of a camera file's `zoom`; raises InputError, one line that begins with `what`."""
         if not isinstance(raw, dict) or raw.get("unit") not in ("times", "percent"):
             raise InputError(f"{what}: zoom needs a unit, 'times' or 'percent', and the columns {', '.join(COLUMNS)}")
-        try:
-            columns = [tuple(float(value) for value in raw[name]) for name in COLUMNS]
-        except KeyError as error:
-            raise InputError(f"{what}: zoom: {error.args[0]!r} is missing") from error
-        except (TypeError, ValueError) as error:
-            raise InputError(f"{what}: zoom: {error}") from error
-        rows = len(columns[0])
-        if rows < 2 or any(len(column) != rows for column in columns):
+        check_keys(raw, ("unit", *COLUMNS), f"{what}: zoom", needed=COLUMNS)
+        rows = len(raw["position"]) if isinstance(raw["position"], list) else 0
+        if rows < 2 or any(not isinstance(raw[name], list) or len(raw[name]) != rows for name in COLUMNS):
             raise InputError(f"{what}: zoom needs two rows or more, and as many in every column")
-        if not all(math.isfinite(value) for column in columns for value in column):
-            raise InputError(f"{what}: zoom: every number must be finite")
+        columns = [tuple(numbers(raw[name], rows, MAX_NUMBER, f"{what}: zoom: {name}")) for name in COLUMNS]
         lowest = {"times": 0.1, "percent": 0.0}[raw["unit"]]
         if (
             min(np.diff(columns[0])) <= 0

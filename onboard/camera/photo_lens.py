@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from PIL import ExifTags
 
@@ -19,6 +19,10 @@ SIGMA_CALIBRATED, SIGMA_DESIGN, SIGMA_MM, SIGMA_EQUIVALENT = 0.003, 0.015, 0.02,
 SIGMA_CROPPED = 0.05
 # Without the size of a pixel in mm: by the principal point, which lies this near to the middle (share of the width).
 SIGMA_PITCH = 0.02
+# What a photograph states in pixels is of the size that the camera took. If it was made smaller the equivalent to 35 mm
+# film, which no size changes, is apart by more than this factor; where that is not stated, a lens narrower than 15
+# degrees is rather a larger picture's.
+ANOTHER_SIZE, MOST_UNCONFIRMED = 1.25, 3.8
 SAME_SHAPE = 0.02  # shapes that are the same
 FOUR_THIRDS, THREE_HALVES = 4.0 / 3.0, 1.5
 # Cameras of drones whose sensor is not 4:3, as drones' mostly are (their data sheets: 1 inch, and full frame).
@@ -37,6 +41,16 @@ class Focal:
     source: str
     centre_px: tuple[float, float] | None = None
     distortion: Distortion | None = None  # OpenCV's k1, k2, p1, p2, k3
+
+    def resized(self, scale: float) -> Focal:
+        """The same of a picture that was made so many times as large; pixel (0, 0) is the centre of the first."""
+        if scale == 1.0:
+            return self
+        x, y = self.centre_px or (0.0, 0.0)
+        centre = None if self.centre_px is None else (scale * (x + 0.5) - 0.5, scale * (y + 0.5) - 0.5)
+        return replace(
+            self, fx_px=scale * self.fx_px, fy_px=scale * self.fy_px, sigma_px=scale * self.sigma_px, centre_px=centre
+        )
 
 
 def number(value: object) -> float | None:
@@ -62,14 +76,33 @@ def focal_of(
     """The best of what the photograph states about its lens. None also for a fisheye, another kind of lens."""
     if xmp.get("Camera:ModelType", "perspective").lower() == "fisheye":
         return None
-    return (
-        _dewarp(xmp, size_px)
-        or _skydio(details, xmp, size_px)
-        or _perspective(details, xmp, size_px)
-        or _design(xmp, size_px)
-        or _by_plane(details, size_px)
-        or _by_equivalent(details, size_px, model)
+    full_px = full_size(details, size_px)
+    found = (
+        _dewarp(xmp, full_px)
+        or _skydio(details, xmp, full_px)
+        or _perspective(details, xmp, full_px)
+        or _design(xmp, full_px)
+        or _by_plane(details, full_px)
     )
+    equivalent = _by_equivalent(details, size_px, model)
+    if found is None:
+        return equivalent
+    found = found.resized(size_px[0] / full_px[0])
+    if equivalent is None:
+        return found if found.fx_px < MOST_UNCONFIRMED * size_px[0] else None
+    if max(found.fx_px / equivalent.fx_px, equivalent.fx_px / found.fx_px) < ANOTHER_SIZE:
+        return found
+    return replace(equivalent, source=f"{equivalent.source}, as {found.source} is of another size of picture")
+
+
+def full_size(details: Mapping[int, object], size_px: tuple[int, int]) -> tuple[int, int]:
+    """The picture's size before it was made smaller, which programs that do so leave in EXIF; else its own."""
+    sides = [number(details.get(tag)) or 0.0 for tag in (ExifTags.Base.ExifImageWidth, ExifTags.Base.ExifImageHeight)]
+    full_px = int(sides[0]), int(sides[1])
+    is_larger = min(full_px) > 0 and full_px[0] > size_px[0] and full_px[1] > size_px[1]
+    if not is_larger or abs(full_px[0] * size_px[1] / (full_px[1] * size_px[0]) - 1.0) > SAME_SHAPE:
+        return size_px
+    return full_px
 
 
 def _dewarp(xmp: Mapping[str, str], size_px: tuple[int, int]) -> Focal | None:

@@ -19,7 +19,7 @@ from PIL import ExifTags, Image
 from contract.errors import InputError
 from contract.rotations import euler_from_matrix, matrix_from_euler
 from onboard.camera.file_stamps import exif_moment
-from onboard.camera.photo_lens import Focal, focal_of, number
+from onboard.camera.photo_lens import Focal, focal_of, full_size, number
 from onboard.camera.pixel_formats import UNDECODABLE
 from onboard.camera.xmp_packet import read_xmp
 
@@ -93,7 +93,7 @@ def read_photo(path: Path) -> PhotoMetadata:
         None if north is None or east is None else (north, east),
         focal_of(details, xmp, size_px, model),
         height_is_barometric=is_barometric,
-        readout_s=_readout(xmp, size_px),
+        readout_s=_readout(xmp, full_size(details, size_px)),
         band=_band(xmp),
     )
 

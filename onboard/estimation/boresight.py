@@ -9,6 +9,7 @@ less, (6.13). Section 10 of docs/mathematics.md.
 from __future__ import annotations
 
 import json
+import zlib
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,9 +19,20 @@ from scipy.linalg import block_diag
 
 from contract.camera import Camera
 from contract.errors import InputError
+from contract.stated_values import check_keys, object_of
 from onboard.estimation import camera_states
 from onboard.estimation.information import Information
-from onboard.estimation.platform_states import BORESIGHT, DELAY, HEADING, OFFSET, STATES, VELOCITY_DELAY, WALK
+from onboard.estimation.platform_states import (
+    BORESIGHT,
+    DELAY,
+    HEADING,
+    MOST,
+    OFFSET,
+    STATES,
+    VELOCITY_DELAY,
+    WALK,
+    present,
+)
 from onboard.geometry.robust import OUTLIER_SIGMAS
 from onboard.navigation.limits import SURE_SIGMAS
 
@@ -36,6 +48,7 @@ LENS = slice(STATES, STATES + camera_states.COUNT)
 FOCAL_LENGTH = STATES + camera_states.FOCAL_LENGTH
 # Of the state directory, in the order of the states; older files lack those from the delays on.
 TIMES = {"offset_s": OFFSET, "delay_s": DELAY, "velocity_delay_s": VELOCITY_DELAY}
+CHECKSUM, WHAT = "crc32", "alignment state"
 KEYS: dict[str, slice | int] = {"boresight_rad": BORESIGHT, **TIMES, "heading_rad": HEADING}
 
 
@@ -240,32 +253,46 @@ class Alignment:
         found: dict[str, Any] = {key: newest.mean[at].tolist() for key, at in KEYS.items()}
         if self._file is not None and len(newest.mean) > STATES:
             found["camera"] = camera_states.as_numbers(self._file, newest.mean[STATES:], self._readout_s)
-        return json.dumps({**found, "covariance": newest.covariance.tolist(), "end_unix_ns": newest.end_ns}, indent=1)
+        found |= {"covariance": newest.covariance.tolist(), "end_unix_ns": newest.end_ns}
+        return json.dumps({**found, CHECKSUM: _checksum(found)}, indent=1)
 
     def restore(self, text: str) -> None:
-        """Begin from the estimate of an earlier session; raises InputError if the text is not one.
+        """Begin from the estimate of an earlier session; raises InputError if the text is not one, if it is not as it
+        was written, or beyond what can be.
 
         What it does not have is as in the first prior; what is taken as it is now (lens, readout) is left out. Its
         sigma is widened to what may have happened on the ground: half of the first prior.
         """
+        raw = object_of(text, WHAT)
+        check_keys(raw, (*KEYS, "camera", "covariance", "end_unix_ns", CHECKSUM), WHAT, needed=("covariance",))
+        stated = raw.pop(CHECKSUM, None)  # older files have none
+        if stated is not None and stated != _checksum(raw):
+            raise InputError(f"{WHAT}: damaged or edited (its checksum is of another content); delete it")
         try:
-            raw: dict[str, Any] = json.loads(text)
             states = [raw[key] for key in KEYS if key in raw]
             if self._file is not None and "camera" in raw:
                 states.append(camera_states.from_numbers(self._file, raw["camera"], self._readout_s))
             found, covariance = np.hstack(states).astype(float), np.array(raw["covariance"], float)
-        except (KeyError, TypeError, ValueError) as error:
-            raise InputError(f"alignment state: not readable ({error})") from error
-        if covariance.shape != (len(found), len(found)):
-            raise InputError("alignment state: wrong shape")
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
+            raise InputError(f"{WHAT}: not readable ({error})") from error
+        if covariance.shape != (len(found), len(found)) or len(found) > len(MOST):
+            raise InputError(f"{WHAT}: wrong shape")
         if not (np.all(np.isfinite(found)) and np.all(np.isfinite(covariance))):
-            raise InputError("alignment state: not finite")
+            raise InputError(f"{WHAT}: not finite")
+        for q, at in present(len(found)):
+            if np.any(np.abs(found[at]) > q.most):
+                value = found[at][np.argmax(np.abs(found[at]))]
+                raise InputError(f"{WHAT}: {q.label} of {value:.3g} {q.unit}: beyond {q.most:.3g} is none; delete it")
         if not np.allclose(covariance, covariance.T) or np.linalg.eigvalsh(covariance)[0] <= 0.0:
-            raise InputError("alignment state: covariance is not positive definite")
+            raise InputError(f"{WHAT}: covariance is not positive definite")
         first = self._estimates[0]
         mean, before, count = first.mean.copy(), first.covariance.copy(), min(len(found), len(first.mean))
         mean[:count], before[:count, :count] = found[:count], covariance[:count, :count]
         self._estimates = [PlatformEstimate(0, mean, before + 0.25 * first.covariance)]
+
+
+def _checksum(content: dict[str, Any]) -> str:
+    return f"{zlib.crc32(json.dumps(content, sort_keys=True).encode()):08x}"
 
 
 def _with_prior_reweighed(estimate: PlatformEstimate, first: PlatformEstimate) -> PlatformEstimate:

@@ -26,23 +26,29 @@ class Quantity:
     components: int
     walk: float  # what it may do by itself: one sigma of each component after a minute, (10.1)
     source: Cause  # what its error is called where errors are listed by source
+    most: float  # what can be: a stored estimate beyond it is none
 
 
 QUANTITIES = (
-    Quantity("boresight", "radians", "boresight", 3, np.radians(0.03), Cause.MOUNT),  # about camera x, y, z
-    Quantity("camera_time_offset", "seconds", "time offset", 1, 0.002, Cause.STAMPS),
-    Quantity("position_delay", "seconds", "position delay", 1, 0.005, Cause.DELAYS),  # beyond `gps.latency_s`
-    Quantity("velocity_delay", "seconds", "velocity delay", 1, 0.005, Cause.DELAYS),
+    Quantity(
+        "boresight", "radians", "boresight", 3, np.radians(0.03), Cause.MOUNT, np.radians(45.0)
+    ),  # about camera x, y, z
+    Quantity("camera_time_offset", "seconds", "time offset", 1, 0.002, Cause.STAMPS, 10.0),
+    Quantity("position_delay", "seconds", "position delay", 1, 0.005, Cause.DELAYS, 10.0),  # beyond `gps.latency_s`
+    Quantity("velocity_delay", "seconds", "velocity delay", 1, 0.005, Cause.DELAYS, 10.0),
     # Times the cosine and the sine of the heading.
-    Quantity("heading_error_by_heading", "radians", "heading error", 2, np.radians(0.1), Cause.COMPASS),
+    Quantity(
+        "heading_error_by_heading", "radians", "heading error", 2, np.radians(0.1), Cause.COMPASS, np.radians(90.0)
+    ),
     # Of the camera, counted from its file, `camera_states`: a lens warms up or cools down.
-    Quantity("focal_length_error", "ratio", "focal length", 1, 1e-4, Cause.LENS),
-    Quantity("principal_point_error", "ratio", "principal point", 2, 1e-4, Cause.LENS),  # in focal lengths
-    Quantity("radial_distortion_error", "ratio", "distortion", 2, 3e-4, Cause.LENS),
-    Quantity("readout_error", "seconds", "readout", 1, 1e-5, Cause.LENS),  # beyond `camera.readout_s`
+    Quantity("focal_length_error", "ratio", "focal length", 1, 1e-4, Cause.LENS, 0.7),
+    Quantity("principal_point_error", "ratio", "principal point", 2, 1e-4, Cause.LENS, 0.5),  # in focal lengths
+    Quantity("radial_distortion_error", "ratio", "distortion", 2, 3e-4, Cause.LENS, 100.0),
+    Quantity("readout_error", "seconds", "readout", 1, 1e-5, Cause.LENS, 0.5),  # beyond `camera.readout_s`
 )
 _ENDS = np.cumsum([q.components for q in QUANTITIES]).tolist()
 PLACES = {q.name: slice(end - q.components, end) for q, end in zip(QUANTITIES, _ENDS, strict=True)}
+MOST: Array = np.repeat([q.most for q in QUANTITIES], [q.components for q in QUANTITIES])
 WALK: Array = np.repeat([q.walk for q in QUANTITIES], [q.components for q in QUANTITIES])
 
 BORESIGHT, HEADING = PLACES["boresight"], PLACES["heading_error_by_heading"]

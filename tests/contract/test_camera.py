@@ -84,10 +84,24 @@ def test_a_camera_file_survives(tmp_path: Path) -> None:
     [
         ({"fx_px": None}, "camera.json"),
         ({"size_px": [640]}, "camera.json"),
-        ({"distortion_opencv_k1_k2_p1_p2_k3": [0.0] * 4}, "5 coefficients, not 4"),
+        ({"distortion_opencv_k1_k2_p1_p2_k3": [0.0] * 4}, "a list of 5 numbers"),
         ({"model": "fisheye"}, "'fisheye'"),
-        ({"fy_px": -1.0}, "positive"),
-        ({"cx_px": float("nan")}, "finite"),
+        ({"fy_px": -1.0}, "fy_px is -1.0: must be a number from 64 to"),
+        ({"cx_px": float("nan")}, "cx_px is NaN"),
+        ({"cx_px": 3195.0}, "cx_px is 3195.0: must be a number from -0.5 to 639.5"),
+        ({"fx_px": 8.0}, "fx_px is 8.0"),
+        ({"fx_px": 2000.0, "fy_px": 700.0}, "2.86 times fy_px"),
+        ({"fx_px": 10**400}, "camera.json"),
+        ({"fx_px": True}, "fx_px"),
+        ({"size_px": [640.5, 480]}, "640.5: must be a whole number"),
+        ({"size_px": [float("inf"), 480]}, "size_px"),
+        ({"distortion": [0.1] * 5}, "unknown key 'distortion'; did you mean 'distortion_opencv_k1_k2_p1_p2_k3'"),
+        ({"fx": 500.0}, "unknown key 'fx'; did you mean 'fx_px'"),
+        ({"distortion_opencv_k1_k2_p1_p2_k3": [-40.0, 0.0, 0.0, 0.0, 0.0]}, "of the picture can be used"),
+        ({"calibration": {"sigmas": {}}}, "unknown key 'sigmas'; did you mean 'sigma'"),
+        ({"calibration": {"sigma": {"fx": 1.0}}}, "'cx' is missing"),
+        ({"calibration": {"sigma": dict.fromkeys(("fx", "cx", "cy", "k1", "k2"), -1.0)}}, "sigma: fx is -1.0"),
+        ({"calibration": []}, "calibration must be a JSON object"),
     ],
 )
 def test_a_wrong_camera_file_is_named(tmp_path: Path, change: dict[str, object], message: str) -> None:
@@ -97,9 +111,28 @@ def test_a_wrong_camera_file_is_named(tmp_path: Path, change: dict[str, object],
         Camera.from_json(path)
 
 
+def test_lenses_as_there_are_are_accepted(tmp_path: Path) -> None:
+    """A refusal of everything would satisfy the rows above: a fisheye's pinhole part, a long lens, squeezed pixels."""
+    path = tmp_path / "camera.json"
+    for change in (
+        {"fx_px": 110.0, "fy_px": 110.0},
+        {"fx_px": 60_000.0, "fy_px": 60_000.0, "distortion_opencv_k1_k2_p1_p2_k3": [2.0, 900.0, 0.0, 0.0, 0.0]},
+        {"fx_px": 250.0, "fy_px": 490.0},
+        {"cx_px": 12.0},
+    ):
+        path.write_text(json.dumps({**json.loads(MILD.to_json()), **change}))
+        assert Camera.from_json(path).size_px == MILD.size_px
+
+
 def test_a_missing_key_file_and_syntax_are_named(tmp_path: Path) -> None:
     path = tmp_path / "camera.json"
     with pytest.raises(InputError, match="No such file"):
+        Camera.from_json(path)
+    path.write_text("[" * 100_000)
+    with pytest.raises(InputError, match="not JSON"):
+        Camera.from_json(path)
+    path.write_text("[1]")
+    with pytest.raises(InputError, match="not a JSON object"):
         Camera.from_json(path)
     path.write_text("{")
     with pytest.raises(InputError, match="not JSON"):

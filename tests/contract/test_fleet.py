@@ -49,7 +49,7 @@ def test_a_list_that_is_written_is_read_back_as_it_was(names: list[str], listen:
         ("sets_hz = -1", "sets_hz must be a number from 0 to 1000"),
         ("sets_hz = true", "sets_hz must be a number"),
         ("sets_hz = nan", "sets_hz must be a number"),
-        ('pilots = ["a"]', "no key 'pilots'; there are router, listen"),
+        ('pilots = ["a"]', "unknown key 'pilots'; did you mean 'pins'"),
         ("aircraft = [", "fleet.toml: "),
         ("#" * (MAX_BYTES + 1), "more than 1000000 bytes"),
     ],

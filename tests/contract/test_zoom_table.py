@@ -93,7 +93,8 @@ def test_the_principal_point_s_sigma_stays_what_it_is_in_pixels() -> None:
         ({"position": [1.0, 6.0, 2.0]}, "must rise"),
         ({"focal_px": [900.0, 900.0, 5200.0]}, "must rise"),
         ({"position": [0.0, 2.0, 6.0]}, "must rise"),
-        ({"cx_px": [640.0, math.nan, 652.0]}, "finite"),
+        ({"cx_px": [640.0, math.nan, 652.0]}, "cx_px is NaN"),
+        ({"cxpx": [640.0, 645.0, 652.0]}, "unknown key 'cxpx'; did you mean 'cx_px'"),
         ({"k1": [0.0, "none", 0.1]}, "zoom"),
     ],
 )

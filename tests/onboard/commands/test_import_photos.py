@@ -310,11 +310,12 @@ def test_a_clock_that_showed_a_local_time_is_named_and_corrected(
 # ---------------------------------------------------------------- single photographs
 
 
-def photo(folder: Path, attributes: str = "", **gps: object) -> Path:
+def photo(folder: Path, attributes: str = "", details: dict[str, int] | None = None, **gps: object) -> Path:
     exif = Image.Exif()
+    given = {"FocalLengthIn35mmFilm": 24} if details is None else details
     exif._ifds[ExifTags.IFD.Exif] = {
         ExifTags.Base.DateTimeOriginal: "2023:05:12 12:01:02",
-        ExifTags.Base.FocalLengthIn35mmFilm: 24,
+        **{getattr(ExifTags.Base, name): value for name, value in given.items()},
     }
     if gps:
         exif._ifds[ExifTags.IFD.GPSInfo] = {getattr(ExifTags.GPS, name): value for name, value in gps.items()}
@@ -335,6 +336,26 @@ def test_dewarping_data_are_a_calibration(tmp_path: Path) -> None:
     assert focal.distortion == (-0.26, 0.11, 0.0001, -0.0002, -0.03)
     straight = read_photo(photo(tmp_path, data.replace('DewarpFlag="0"', 'DewarpFlag="1"'))).focal
     assert straight is not None and straight.distortion == (0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+DEWARP = 'd:DewarpData="2018-09-24;3666.7,3666.7,20.0,-15.0,-0.26,0.11,0.0001,-0.0002,-0.03"'
+
+
+@pytest.mark.parametrize("attributes", [DEWARP, 'd:CalibratedFocalLength="3666.7"'])
+def test_a_picture_that_was_made_smaller_has_not_the_lens_of_its_full_size(tmp_path: Path, attributes: str) -> None:
+    """A calibration of 5472 px in a file of 400 px became "6 deg wide" at 0.3 %."""
+    details = {"FocalLengthIn35mmFilm": 24, "ExifImageWidth": 5472, "ExifImageHeight": 4104}
+    scaled = read_photo(photo(tmp_path, attributes, details=details)).focal
+    assert scaled is not None and scaled.fx_px == pytest.approx(3666.7 * 400 / 5472)
+    if attributes == DEWARP:
+        assert scaled.centre_px == pytest.approx((199.5 + 20.0 * 400 / 5472, 149.5 - 15.0 * 400 / 5472))
+        assert scaled.distortion == (-0.26, 0.11, 0.0001, -0.0002, -0.03)
+        assert scaled.sigma_px / scaled.fx_px == pytest.approx(0.003)
+    # Without the size in EXIF the equivalent shows it, and where that is not stated either, nothing is known.
+    by_equivalent = read_photo(photo(tmp_path, attributes)).focal
+    assert by_equivalent is not None and by_equivalent.fx_px == pytest.approx(277.35, abs=0.1)
+    assert by_equivalent.distortion is None and "another size of picture" in by_equivalent.source
+    assert read_photo(photo(tmp_path, attributes, details={})).focal is None
 
 
 def test_an_equivalent_focal_length_counts_along_the_diagonal(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -65,6 +66,49 @@ def test_an_unreadable_state_is_refused_by_name(tmp_path: Path, text: str) -> No
     path.write_text(text)
     with pytest.raises(InputError, match=r"alignment\.json"):
         StateFile(path).restore(fresh())
+
+
+def written(**changes: object) -> str:
+    """A state as older versions wrote it, without a checksum, but for what is given."""
+    content = json.loads(taught().to_json())
+    content.pop("crc32")
+    return json.dumps(content | changes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "reported"),
+    [
+        ({"boresight_rad": [0.0, 1.0, 0.0]}, "boresight of 1 radians: beyond 0.785"),
+        ({"offset_s": 3600.0}, "time offset of 3.6e.03 seconds"),
+        ({"delay_s": -40.0}, "position delay of -40"),
+        ({"heading_rad": [0.0, 3.0]}, "heading error of 3"),
+        ({"boresigth_rad": [0.0, 0.0, 0.0]}, "unknown key 'boresigth_rad'; did you mean 'boresight_rad'"),
+        ({"offset_s": 10**400}, "not readable"),
+        ({"crc32": "00000000"}, "damaged or edited"),
+        ({"crc32": 0}, "damaged or edited"),
+    ],
+)
+def test_an_estimate_that_cannot_be_is_refused_whatever_its_sigmas(
+    tmp_path: Path, changes: dict[str, object], reported: str
+) -> None:
+    path, alignment = tmp_path / "alignment.json", fresh()
+    path.write_text(written(**changes))
+    with pytest.raises(InputError, match=reported):
+        StateFile(path).restore(alignment)
+    assert alignment.platform.mean == pytest.approx(fresh().platform.mean)
+
+
+def test_one_changed_digit_is_found_and_a_file_of_before_checksums_is_accepted(tmp_path: Path) -> None:
+    path, text = tmp_path / "alignment.json", taught().to_json()
+    for k in [k for k, c in enumerate(text) if c.isdigit()][::37]:
+        path.write_text(text[:k] + str((int(text[k]) + 1) % 10) + text[k + 1 :])
+        with pytest.raises(InputError, match=r"alignment\.json"):
+            StateFile(path).restore(fresh())
+    for good in (text, written()):
+        path.write_text(good)
+        again = fresh()
+        StateFile(path).restore(again)
+        assert again.platform.mean == pytest.approx(taught().platform.mean, rel=1e-12)
 
 
 def test_a_state_file_in_no_folder_is_refused_before_the_flight(tmp_path: Path) -> None:

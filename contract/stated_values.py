@@ -1,0 +1,62 @@
+"""Values out of a file that other people or programs wrote: known keys, numbers within their range, or one line.
+
+Python's JSON reads 1e999 as infinity and NaN as a number, and a key that is misspelt is silently none.
+"""
+
+from __future__ import annotations
+
+import difflib
+import json
+import math
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from contract.errors import InputError
+
+
+def object_of(text: str | bytes, what: str) -> dict[str, Any]:
+    """The JSON object in a text. Raises InputError, which begins with `what`."""
+    try:
+        content = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{what}: not JSON ({error})") from error
+    if not isinstance(content, dict):
+        raise InputError(f"{what}: not a JSON object, which begins with {{")
+    return content
+
+
+def check_keys(content: Iterable[str], known: Sequence[str], what: str, needed: Iterable[str] = ()) -> None:
+    """Raise InputError for a key that is not known, with the one that may be meant, and for one that is missing."""
+    keys = list(content)
+    for key in keys:
+        if key not in known:
+            near = [name for name in known if name.startswith(f"{key}_")]
+            near = near or difflib.get_close_matches(key, known, n=1, cutoff=0.5)
+            hint = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(known)}"
+            raise InputError(f"{what}: unknown key {key[:40]!r}; {hint}")
+    for key in needed:
+        if key not in keys:
+            raise InputError(f"{what}: key {key!r} is missing")
+
+
+def number(value: object, low: float, high: float, what: str, unit: str = "") -> float:
+    """A number from `low` to `high`. Raises InputError, which begins with `what` and states the range."""
+    if isinstance(value, int | float) and not isinstance(value, bool) and low <= value <= high:
+        return float(value)
+    shown = json.dumps(value)[:40] if isinstance(value, int | float | str) or value is None else type(value).__name__
+    raise InputError(f"{what} is {shown}: must be a number from {low:g} to {high:g}{unit and ' '}{unit}")
+
+
+def whole(value: object, low: int, high: int, what: str) -> int:
+    """A whole number from `low` to `high`. Raises InputError."""
+    found = number(value, low, high, what)
+    if found != math.floor(found):
+        raise InputError(f"{what} is {found:g}: must be a whole number")
+    return int(found)
+
+
+def numbers(value: object, count: int, most: float, what: str) -> list[float]:
+    """A list of so many numbers of at most that size, either sign. Raises InputError."""
+    if not isinstance(value, list) or len(value) != count:
+        raise InputError(f"{what}: must be a list of {count} numbers")
+    return [number(one, -most, most, what) for one in value]
