@@ -42,12 +42,24 @@ $(LOCKED): requirements.lock
 	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || $(MAKE) --no-print-directory system-venv
 	@test -x $(BIN)/pip || $(PYTHON) -m venv --clear $(VENV)
 	@echo "installing the versions in requirements.lock into $(VENV) (a minute or two)"
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --requirement requirements.lock
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --requirement requirements.lock
 	@touch $@
 
 $(INSTALLED): $(LOCKED) pyproject.toml
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	@touch $@
+
+# requirements.lock again, after a change of pyproject.toml: the versions that it has stay where they will do, UPGRADE=1
+# takes the newest. uv resolves, and knows the hashes of all files of a version.
+.PHONY: lock
+lock:
+	@work=$$(mktemp -d); trap 'rm -rf "$$work"' EXIT; set -e; \
+	$(PYTHON) -m venv "$$work/venv"; "$$work/venv/bin/pip" install --quiet --disable-pip-version-check uv==0.13.9; \
+	: >"$$work/pins"; [ -n "$(UPGRADE)" ] || $(PYTHON) packaging/lock.py pins >"$$work/pins"; \
+	echo setuptools >"$$work/build"; \
+	"$$work/venv/bin/uv" pip compile --quiet --all-extras --python-version 3.11 --universal --format pylock.toml \
+		--constraint "$$work/pins" --output-file "$$work/pylock.toml" pyproject.toml "$$work/build"; \
+	$(PYTHON) packaging/lock.py write "$$work/pylock.toml"
 
 # Debian keeps venv and ensurepip in a package of their own.
 .PHONY: system-venv
@@ -69,8 +81,13 @@ install:
 	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || $(MAKE) --no-print-directory system-venv
 	@test -x "$(HOME_VENV)/bin/pip" || $(PYTHON) -m venv --clear "$(HOME_VENV)"
 	@echo "installing into $(HOME_VENV), and building the page (some minutes)"
-	@"$(HOME_VENV)/bin/pip" install --quiet --disable-pip-version-check --upgrade --force-reinstall --no-deps .
-	@"$(HOME_VENV)/bin/pip" install --quiet --disable-pip-version-check --constraint requirements.lock '.[$(EXTRAS)]'
+	@work=$$(mktemp -d); trap 'rm -rf "$$work"' EXIT; set -e; \
+	pip() { "$(HOME_VENV)/bin/pip" install --quiet --disable-pip-version-check "$$@"; }; \
+	$(PYTHON) packaging/lock.py pins >"$$work/pins"; \
+	pip --dry-run --ignore-installed --report "$$work/report" --constraint "$$work/pins" '.[$(EXTRAS)]'; \
+	$(PYTHON) packaging/lock.py of "@$$work/report" >"$$work/wanted"; \
+	pip --require-hashes --no-deps --requirement "$$work/wanted"; \
+	pip --upgrade --force-reinstall --no-deps .
 	@mkdir -p "$(HOME_BIN)"
 	@for program in pc-ground pc-onboard; do ln -sf "$(HOME_VENV)/bin/$$program" "$(HOME_BIN)/$$program"; done
 	@"$(HOME_BIN)/pc-ground" --version

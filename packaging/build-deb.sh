@@ -7,7 +7,8 @@
 # Any of the two is built on any machine: wheels are fetched for the target, and nothing of it is run here. ARCH is by
 # default this machine's. Everything Python that it needs goes into /opt/pointclick, in the versions of requirements.lock
 # and without what an aircraft has no use for (slim.py); Debian gives python3 alone. Wheels are fetched into WHEELS_DIR
-# (OUT_DIR/wheels/ARCH) once; with them there, nothing is fetched any more.
+# (OUT_DIR/wheels/ARCH) once, by the lock's hashes; with them there, nothing is fetched any more. Beside the packages lies
+# a list of their parts, pointclick-onboard_VERSION_ARCH.cdx.json (CycloneDX).
 # $PYTHON must be of Debian's minor version (3.11), of whatever architecture: bytecode is made with it, and slim.py runs in
 # it with LIEF, which is fetched for this machine. A `strip` for the target is binutils-multiarch's.
 set -eu
@@ -47,6 +48,8 @@ done
 # The build backend that pyproject.toml names; without frontend/ beside it, it builds no page.
 install -D -m 644 "$checkout/packaging/with_page.py" "$work/source/packaging/with_page.py"
 
+locked() { $python "$checkout/packaging/lock.py" "$@"; }
+locked pins > "$work/pins"
 # What pyproject.toml declares for the aircraft, read as TOML, and the lock: fetched anew when either has changed.
 $python - "$checkout/pyproject.toml" > "$work/declared" <<'PYTHON'
 import sys, tomllib
@@ -58,9 +61,13 @@ cat "$work/declared" "$checkout/requirements.lock" > "$work/wanted"
 if ! cmp -s "$work/wanted" "$wheels/.complete"; then
 	echo "build-deb: fetching wheels into $wheels"
 	mkdir -p "$wheels"
-	pip download --dest "$wheels" $target --constraint "$checkout/requirements.lock" \
-		setuptools --requirement "$work/declared"
-	pip download --dest "$wheels/tools" --only-binary :all: --constraint "$checkout/requirements.lock" lief
+	# What they need is resolved first; then exactly those files are fetched whose hashes the lock has.
+	pip install --dry-run --ignore-installed --report "$wheels/.report" --target "$work/nowhere" $target \
+		--constraint "$work/pins" setuptools --requirement "$work/declared"
+	locked of "@$wheels/.report" > "$work/hashed"
+	pip download --dest "$wheels" $target --no-deps --require-hashes --requirement "$work/hashed"
+	locked of lief > "$work/hashed"
+	pip download --dest "$wheels/tools" --only-binary :all: --no-deps --require-hashes --requirement "$work/hashed"
 	cp "$work/wanted" "$wheels/.complete"
 fi
 
@@ -75,11 +82,11 @@ printf 'home = /usr/bin\ninclude-system-site-packages = false\nversion = %s\n' "
 ln -s /usr/bin/python$minor "$home/bin/python3"
 ln -s python3 "$home/bin/python"
 pip wheel --no-deps --no-index --find-links "$wheels" --wheel-dir "$work" "$work/source"
-pip install --no-index --find-links "$wheels/tools" --constraint "$checkout/requirements.lock" --target "$work/tools" lief
+pip install --no-index --find-links "$wheels/tools" --constraint "$work/pins" --target "$work/tools" lief
 slim() { PYTHONPATH=$work/tools $python "$checkout/packaging/slim.py" "$@"; }
 # By what is declared, not by what lies there: an old wheel is left out, a missing one fails here.
 install_into() {
-	pip install --no-index --find-links "$wheels" --constraint "$checkout/requirements.lock" $target --target "$1" \
+	pip install --no-index --find-links "$wheels" --constraint "$work/pins" $target --target "$1" \
 		--no-compile --no-warn-conflicts "$(echo "$work"/pointclick-*.whl)[$2]"
 }
 install_into "$site" onboard
@@ -158,4 +165,6 @@ for part in "$extra:pointclick-onboard-terrain" "$root:pointclick-onboard"; do
 	echo "build-deb: $(($(stat -c %s "$package") / 1000000)) MB, $(($(du -sb "${part%:*}" | cut -f1) / 1000000)) MB installed:" \
 		"$(basename "$package")"
 done
+# What is in it, for whoever looks for a package with a fault: CycloneDX.
+locked sbom "${package%.deb}.cdx.json" "@$wheels/.report"
 echo "$package"

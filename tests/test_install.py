@@ -31,8 +31,9 @@ from simulation.flight import RecordedSpec
 from simulation.session import SessionSpec, fly
 from simulation.terrain import TerrainSpec
 from tests import postgres
-from tests.installed import ROOT, built, laid_over
+from tests.installed import ROOT, built, laid_over, needed
 from tests.left_out import NO_PROGRAM
+from tests.locked import lines, versions
 from tests.onboard.link.ports import free_udp_port
 from tests.rest_long import rest_long
 
@@ -63,10 +64,17 @@ def wheel(source: Path) -> Path:
 def environment(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of programs of the ground's environment: the wheel, its dependencies by pip, and nothing else."""
     folder = tmp_path_factory.mktemp("base") / "venv"
+    listed = folder.parent / "requirements.txt"
+    dependencies = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]
+    listed.write_text(lines(needed(dependencies)))
     built(sys.executable, "-m", "venv", "--without-pip", folder)
     built(
         sys.executable, "-m", "pip", "--python", folder / "bin" / "python", "install", "--no-compile",
-        "--disable-pip-version-check", "--quiet", "--constraint", ROOT / "requirements.lock", wheel,
+        "--disable-pip-version-check", "--quiet", "--require-hashes", "--requirement", listed,
+    )  # fmt: skip
+    built(
+        sys.executable, "-m", "pip", "--python", folder / "bin" / "python", "install", "--no-compile", "--no-deps",
+        "--disable-pip-version-check", "--quiet", "--no-index", wheel,
     )  # fmt: skip
     return folder / "bin"
 
@@ -109,11 +117,9 @@ def test_the_lock_holds_every_dependency_at_a_version_that_will_do() -> None:
         *project["dependencies"],
         *(line for extra in project["optional-dependencies"].values() for line in extra),
     ]
-    pins = (ROOT / "requirements.lock").read_text().splitlines()
-    locked = dict(line.split("==") for line in pins if line and not line.startswith("#"))
-    versions = {canonicalize_name(name): version for name, version in locked.items()}
+    locked = versions()
     for requirement in map(Requirement, wanted):
-        assert requirement.specifier.contains(versions[canonicalize_name(requirement.name)]), requirement
+        assert requirement.specifier.contains(locked[canonicalize_name(requirement.name)]), requirement
 
 
 def test_none_of_the_aircrafts_packages_is_there(environment: Path) -> None:

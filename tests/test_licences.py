@@ -11,14 +11,15 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
+from tests.locked import versions
+
 ROOT = Path(__file__).resolve().parents[1]
 ROW = re.compile(r"^\| ([\w.-]+) \| ([^|]+) \|$", re.MULTILINE)
 GPL = re.compile(r"(?<!L)GPL|(?<!Lesser )(?<!Library )General Public License", re.IGNORECASE)
 
 
 def locked() -> set[str]:
-    lines = (ROOT / "requirements.lock").read_text().splitlines()
-    return {str(canonicalize_name(line.split("==")[0])) for line in lines if line and not line.startswith("#")}
+    return set(versions())
 
 
 def closure(requirements: list[str]) -> set[str]:

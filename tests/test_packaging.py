@@ -6,7 +6,6 @@ The packages themselves are built, run and weighed by `make test-arm64`.
 from __future__ import annotations
 
 import ctypes
-import importlib
 import os
 import platform
 import re
@@ -16,7 +15,6 @@ import sys
 import zlib
 from importlib.metadata import distribution
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 from lief import ELF
@@ -25,20 +23,9 @@ from onboard.camera.gstreamer_helper import BASE, PACKAGES
 from tests.arm64 import emulation
 from tests.bench.image.host import BenchError
 from tests.left_out import NO_PROGRAM
+from tests.locked import PACKAGING, program
 
-PACKAGING = Path(__file__).resolve().parents[1] / "packaging"
-
-
-def load(name: str) -> ModuleType:
-    """A module of packaging/, which is a folder of programs and no package."""
-    sys.path.insert(0, str(PACKAGING))
-    try:
-        return importlib.import_module(name)
-    finally:
-        sys.path.remove(str(PACKAGING))
-
-
-slim = load("slim")
+slim = program("slim")
 OWN = "arm64" if platform.machine() == "aarch64" else "amd64"
 
 

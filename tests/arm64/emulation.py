@@ -14,6 +14,7 @@ from pathlib import Path
 
 from tests.bench.image import cache
 from tests.bench.image.host import BenchError, mirror, run
+from tests.locked import lines
 
 QEMU = "qemu-aarch64-static"
 QEMU_PACKAGE = "qemu-user-static"
@@ -80,26 +81,25 @@ def sysroot() -> Path:
 
 def testing() -> Path:
     """A folder with pytest and hypothesis for arm64."""
-    pins = dict(line.split("==") for line in (CHECKOUT / "requirements.lock").read_text().splitlines() if "==" in line)
-    wanted = [f"{name}=={pins[name]}" for name in TESTING]
+    wanted = lines(TESTING)
 
     def build(work: Path) -> None:
         platforms = [f"--platform=manylinux_2_{minor}_aarch64" for minor in range(36, 16, -1)]
         chosen = ["--implementation=cp", "--python-version=3.11", "--abi=cp311", "--abi=abi3", "--abi=none", *platforms]
         pip = [sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-deps"]
-        run(
-            [
-                *pip,
-                "--only-binary=:all:",
-                *chosen,
-                "--platform=manylinux2014_aarch64",
-                "--target",
-                work / "site",
-                *wanted,
-            ]
-        )
+        listed = work / "requirements.txt"
+        listed.write_text(wanted)
+        into = [
+            "--platform=manylinux2014_aarch64",
+            "--target",
+            work / "site",
+            "--require-hashes",
+            "--requirement",
+            listed,
+        ]
+        run([*pip, "--only-binary=:all:", *chosen, *into])
 
-    return cache.artefact("arm64-testing", cache.key_of(*wanted), build) / "site"
+    return cache.artefact("arm64-testing", cache.key_of(wanted), build) / "site"
 
 
 def build_packages(architecture: str) -> None:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import re
 import shutil
 import sys
 from pathlib import Path
 
+from packaging.utils import canonicalize_name
+
 from tests.bench.image import cache
 from tests.bench.image.host import mirror, run
+from tests.locked import lines, versions
 
 SUITE = "bookworm"
 PACKAGES = "systemd systemd-sysv dbus udev kmod python3 python3-venv iproute2 iputils-ping v4l-utils procps"
@@ -119,11 +121,11 @@ def _configure(tree: Path) -> None:
 
 def packages() -> Path:
     """The packages of requirements.lock for the guest's Python 3.11, a squashfs image."""
-    wanted = _wanted((CHECKOUT / "requirements.lock").read_text())
+    wanted = lines(sorted(set(versions()) - {canonicalize_name(name) for name in NOT_IN_GUEST.split()}))
 
     def build(work: Path) -> None:
         listed = work / "requirements.txt"
-        listed.write_text("\n".join(wanted) + "\n")
+        listed.write_text(wanted)
         platforms = [f"manylinux_2_{minor}_x86_64" for minor in range(36, 4, -1)]
         platforms += ["manylinux2014_x86_64", "manylinux2010_x86_64", "manylinux1_x86_64", "linux_x86_64"]
         run(
@@ -132,17 +134,11 @@ def packages() -> Path:
                 *("--no-deps", "--only-binary=:all:", "--implementation=cp", "--python-version=3.11"),
                 *("--abi=cp311", "--abi=abi3", "--abi=none"),
                 *(f"--platform={name}" for name in platforms),
-                *("--target", work / "packages", "--requirement", listed),
+                *("--target", work / "packages", "--require-hashes", "--requirement", listed),
             ]
         )
         compress = ["-comp", "zstd", "-Xcompression-level", "3", "-quiet", "-no-progress", "-all-root"]
         run(["mksquashfs", work / "packages", work / "packages.squashfs", *compress])
         shutil.rmtree(work / "packages")
 
-    return cache.artefact("packages", cache.key_of(*wanted), build) / "packages.squashfs"
-
-
-def _wanted(lock: str) -> list[str]:
-    left_out = NOT_IN_GUEST.split()
-    lines = [line.strip() for line in lock.splitlines() if line.strip() and not line.startswith("#")]
-    return [line for line in lines if re.split(r"[=<>;\[ ]", line)[0] not in left_out]
+    return cache.artefact("packages", cache.key_of(wanted), build) / "packages.squashfs"
