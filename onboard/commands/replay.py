@@ -67,6 +67,8 @@ def run(arguments: argparse.Namespace, stop: threading.Event) -> tuple[str, bool
     config, camera = inputs.config, inputs.camera
     terrain = None if config.terrain.path is None else TerrainFiles(config.terrain.path, config.terrain.datum)
     pipeline = Pipeline(config, camera, terrain, burned_in=read_mask(config.camera.mask, camera.size_px))
+    if inputs.recorded is not None:
+        pipeline.session = inputs.recorded.session
     state_json = inputs.state_json
     if state is not None:
         state_json = state.text()

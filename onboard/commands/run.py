@@ -44,6 +44,7 @@ from onboard.service.track_thread import TrackThread
 from onboard.storage.alignment_file import StateFile
 from onboard.storage.elevation_files import TerrainFiles
 from onboard.storage.rotating_recorder import Recorded
+from onboard.storage.session_number import next_session
 from onboard.telemetry.factory import open_telemetry
 
 LEAST_FOR_PICTURES = 10_000.0  # bit/s: a picture of a kilobyte a second
@@ -84,17 +85,11 @@ def open_parts(config: Config, clock: SessionClock | None = None, open_camera: O
     """
     camera = load_camera(config)
     folder = state_folder(config, dict(os.environ))
-    terrain = None if config.terrain.path is None else TerrainFiles(config.terrain.path, config.terrain.datum)
     clock = clock or SessionClock.start()
     with ExitStack() as opened:
         solver = SolverThread()
         opened.callback(solver.close)
-        burned_in = read_mask(config.camera.mask, camera.size_px)
-        pipeline = Pipeline(config, camera, terrain, solver, burned_in)
-        state = StateFile(folder / "alignment.json")
-        complaint = restore(state, pipeline)
-        if complaint:
-            log.warning("%s; beginning without it", complaint)
+        pipeline, state, known = _begun(config, camera, solver, folder, clock)
         link = Publisher.open(config)
         opened.callback(link.close)
         sinks: list[Sink] = [link]
@@ -123,7 +118,6 @@ def open_parts(config: Config, clock: SessionClock | None = None, open_camera: O
         recording = None
         if config.recording.enabled:
             where = Path(config.recording.folder) if config.recording.folder else folder / "recordings"
-            known = "" if complaint else state.text()
             recording = Recorded(where, config, camera, clock, to_toml(config), known, optics)
             sinks.append(recording)
             if tracks is not None:
@@ -154,6 +148,22 @@ def open_parts(config: Config, clock: SessionClock | None = None, open_camera: O
     began = datetime.fromtimestamp(clock.now_ns() / 1e9, UTC).strftime("%Y-%m-%d %H:%M:%S")
     log.info("session of %s begins, %s UTC by the host's clock", config.vehicle.id, began)
     return parts
+
+
+def _begun(
+    config: Config, camera: Camera, solver: SolverThread, folder: Path, clock: SessionClock
+) -> tuple[Pipeline, StateFile, str]:
+    """The pipeline of a session that begins now, the file of what is learned, and its text as it begins from it."""
+    terrain = None if config.terrain.path is None else TerrainFiles(config.terrain.path, config.terrain.datum)
+    pipeline = Pipeline(config, camera, terrain, solver, read_mask(config.camera.mask, camera.size_px))
+    pipeline.session, unkept = next_session(folder, clock.now_ns())
+    if unkept:
+        log.warning("the session's number is not kept: %s", unkept)
+    state = StateFile(folder / "alignment.json")
+    complaint = restore(state, pipeline)
+    if complaint:
+        log.warning("%s; beginning without it", complaint)
+    return pipeline, state, "" if complaint else state.text()
 
 
 def _tracks(config: Config, link: Publisher) -> TrackThread | None:

@@ -92,7 +92,7 @@ class Pipeline:
         self._pending: Pending | None = None
         self._sets: list[FeatureSet] = []  # that have followed from the newest event so far
         self._now_ns = 0  # its stamp
-        self._session: int | None = None
+        self.session: int | None = None  # its number; the second of its first picture, unless another is set before
         self._staleness, self._stillness = Staleness(), Stillness(camera.width_px)
         self._misses = self._failures = 0
         self._overlap = 1.0  # of the newest picture with the newest keyframe, as telemetry predicts it
@@ -155,8 +155,8 @@ class Pipeline:
         )
 
     def _process(self, frame: Frame) -> None:
-        if self._session is None:
-            self._session = (frame.stamp_ns // 1_000_000_000) & 0xFFFFFFFF
+        if self.session is None:
+            self.session = (frame.stamp_ns // 1_000_000_000) & 0xFFFFFFFF
         refused = self._take_up(frame)
         if refused is not None:
             self._refuse(frame, refused)
@@ -401,8 +401,8 @@ class Pipeline:
     def _feature_set(self, record: Record) -> FeatureSet | Status:
         """From the window's own points, else over a known ground; otherwise the reason why not."""
         taken, nav, solved = record.frame, record.nav, self.window.solved
-        assert self._frame is not None and self._session is not None
-        identity = self.config.vehicle.id, self._session, taken.index, taken.stamp_ns
+        assert self._frame is not None and self.session is not None
+        identity = self.config.vehicle.id, self.session, taken.index, taken.stamp_ns
         origin = Origin(*identity, min(record.revision + 1, 255), record.is_keyframe)
         camera, readout = (solved or self.window).camera, self.window.readout
         picture = Picture(camera, origin, self._frame, nav.undulation_m, record.seen.moving, readout)
@@ -453,8 +453,8 @@ class Pipeline:
         self._refuse(record.frame, status, record.revision, record.is_keyframe)
 
     def _refuse(self, frame: Frame, status: Status, revision: int = 0, is_keyframe: bool = False) -> None:
-        assert self._session is not None
-        identity = self.config.vehicle.id, self._session, frame.index, frame.stamp_ns
+        assert self.session is not None
+        identity = self.config.vehicle.id, self.session, frame.index, frame.stamp_ns
         self._add(FeatureSet(*identity, status, self.camera, revision, is_keyframe))
 
     def _add(self, feature_set: FeatureSet) -> None:

@@ -7,4 +7,5 @@ Public:
 - `mcap_reader`: `RecordedFlight`
 - `mcap_writer`: `SessionRecorder`
 - `rotating_recorder`: `Recorded`, `software_version`
+- `session_number`: `next_session`
 """

@@ -23,9 +23,10 @@ from PIL import Image
 
 from contract import recording_format as names
 from contract.camera import Camera
-from contract.errors import InputError
+from contract.errors import InputError, WireError
 from contract.mcap_records import MAGIC, Damage
 from contract.topics import FEATURES
+from contract.wire.codec import peek
 from onboard.events.types import Event, Frame
 from onboard.storage.event_json import NAV_EVENTS, frame_event, nav_event
 from onboard.storage.mcap_records import Found, Lost, walk
@@ -62,6 +63,7 @@ class RecordedFlight:
     state_json: str
     version: str
     second_camera: Camera | None = None  # next to it
+    session: int | None = None  # number of its sets; None: it holds none
     stamps_ns: list[int] = field(default_factory=list)  # of the pictures
     formats: Counter[str] = field(default_factory=Counter)  # in which they were recorded
     counts: Counter[str] = field(default_factory=Counter)  # records by channel, the vehicle's name left out
@@ -269,6 +271,9 @@ def _count(
     flight.counts[_name(channel.topic, flight.vehicle)] += 1
     if kind == names.PICTURES:
         picture_ns = message.publish_time
+    if channel.message_encoding == names.SET_ENCODING and flight.session is None:
+        with contextlib.suppress(WireError):
+            flight.session = peek(message.data).session
     if kind == names.GAPS:
         flight.dropped.setdefault(path, []).append(Gap.from_json(message.data))
     if kind == names.FRAMES:

@@ -48,6 +48,7 @@ pytestmark = pytest.mark.xdist_group("rotating recorder")  # one worker: what th
 GIGABYTE = 1_000_000_000
 SPEC = SessionSpec(DescribedSpec(PathSpec("straight")), seconds=10.0, rate_hz=3.0, camera=CAMERA)
 ROOT = Path(__file__).parents[3]
+SESSION = 4_000_000_000  # a number that the first picture's second does not give: the clock was set back
 
 
 def configured(pictures: str = "lossless", **recording: float) -> Config:
@@ -93,6 +94,7 @@ def session(tmp_path_factory: pytest.TempPathFactory, learned: str) -> Path:
     folder = tmp_path_factory.mktemp("recordings")
     config = configured(rotate_mb=1.0)
     pipeline = Pipeline(config, CAMERA)
+    pipeline.session = SESSION
     pipeline.window.alignment.restore(learned)
     sink = recorder(folder, config, state_json=learned)
     replay(flight(config), pipeline, [sink, Reporting(sink)])
@@ -116,6 +118,7 @@ def test_a_session_recorded_with_its_pictures_replays_to_the_same_bytes(
     parts = sorted(session.glob("*.mcap"))
     assert len(parts) >= 2
     sets = list(RecordedFlight.open([first(session)]).sets())
+    assert {decode(payload).session for payload in sets} == {SESSION}
     assert len(sets) > 30 and sum(decode(payload).is_ok for payload in sets) > 20
     expected = f"as recorded: {len(sets)} of {len(sets)} sets byte for byte"
     out = tmp_path / "again.mcap"
