@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from typing import Any, NoReturn
 
 from contract.errors import PointclickError
+from contract.near_word import in_usage, options_of
 
 PROGRAM = "pc-ground"
 WRONG_USAGE, INTERRUPTED = 2, 130
@@ -45,7 +46,10 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Print the line and exit with 2."""
-        self.exit(WRONG_USAGE, f"{PROGRAM}: error: {' '.join(message.split())} (see {self.prog} --help)\n")
+        self.exit(
+            WRONG_USAGE,
+            f"{PROGRAM}: error: {in_usage(' '.join(message.split()), options_of(self))} (see {self.prog} --help)\n",
+        )
 
 
 class Version(argparse.Action):

@@ -109,6 +109,13 @@ def _add_replay(commands: Commands) -> None:
         metavar="FILE",
         help="configuration (TOML); without it the recording's own, or all defaults",
     )
+    replay.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="another value of a configuration key, as mount.pitch_deg=-45; repeatable",
+    )
     replay.add_argument("--frames", type=Path, metavar="DIR_OR_VIDEO", help="folder of pictures, or a video")
     replay.add_argument(
         "--telemetry",
@@ -261,7 +268,7 @@ def _add_checks(commands: Commands) -> None:
     status.set_defaults(run=run_status)
 
     check = commands.add_parser("check-config", help="check a configuration file and the config.d next to it")
-    check.add_argument("file", type=Path, metavar="FILE", nargs="?", default=CONFIG)
+    check.add_argument("--config", type=Path, default=CONFIG, metavar="FILE", help=f"configuration ({CONFIG})")
     check.add_argument(
         "--fly", action="store_true", help="and whether what it names is there: camera file, camera, telemetry"
     )

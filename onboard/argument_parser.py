@@ -12,6 +12,8 @@ import sys
 from datetime import UTC, datetime
 from typing import NoReturn
 
+from contract.near_word import in_usage, options_of
+
 ABOVE_0 = math.ulp(0.0)
 
 
@@ -20,7 +22,7 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Print the line and exit with 2."""
-        self.exit(2, f"{self.prog.split()[0]}: error: {message} (see {self.prog} --help)\n")
+        self.exit(2, f"{self.prog.split()[0]}: error: {in_usage(message, options_of(self))} (see {self.prog} --help)\n")
 
 
 class Version(argparse.Action):

@@ -258,10 +258,10 @@ def use_onboard(environment: Path, folder: Path) -> None:
     run_well(environment, "pc-onboard", "calibrate", "--print-board", folder / "board.pdf")
     assert (folder / "board.pdf").read_bytes().startswith(b"%PDF")
     (folder / "config.toml").write_text("[mount]\npitch_deg = -45.0\n")
-    assert "good" in run_well(environment, "pc-onboard", "check-config", folder / "config.toml")
+    assert "good" in run_well(environment, "pc-onboard", "check-config", "--config", folder / "config.toml")
     for url in ("udpin:127.0.0.1:14999", "nmea:/dev/ttyUSB0:9600", "mavsdk:udpin://127.0.0.1:14998"):
         (folder / "config.toml").write_text(f'[telemetry]\nurl = "{url}"\n')
-        run_well(environment, "pc-onboard", "check-config", folder / "config.toml")
+        run_well(environment, "pc-onboard", "check-config", "--config", folder / "config.toml")
     fly_and_click(environment, folder)
 
 

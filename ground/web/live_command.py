@@ -133,7 +133,7 @@ def _write_config(args: argparse.Namespace, folder: Path, port: int) -> Path:
 
 def _check(program: str, config: Path) -> None:
     """Raises InputError with what can never work of the configuration; what may come later is waited for."""
-    command = [program, "check-config", "--fly", str(config)]
+    command = [program, "check-config", "--fly", "--config", str(config)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode == REFUSED:
         lines = (done.stderr.strip() or done.stdout.strip()).splitlines()[-1:] or ["the configuration is refused"]

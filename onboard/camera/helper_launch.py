@@ -16,10 +16,12 @@ from onboard.camera.helper_camera import Launch
 from onboard.config.schema import CameraConfig
 
 EXEC, GST, LIBCAMERA, RTSP = "exec:", "gst:", "libcamera:", ("rtsp://", "rtspt://", "rtspu://", "rtsps://")
+URLS = ("udp://", "srt://", "http://", "https://")  # of streams and files that GStreamer opens by their address
 SYSTEM_PYTHON = "/usr/bin/python3"  # Debian's, which has GStreamer's bindings
 ASK_S = 20.0  # GStreamer looks through all its plugins when it is asked for the first time
 HELPER = Path(__file__).with_name("gstreamer_helper.py")
 IN_SOFTWARE = {"avdec_h264", "avdec_h265", "avdec_mjpeg", "avdec_mpeg4", "jpegdec", "openh264dec"}
+_SINK = re.compile(r"\w*sink\b")  # appsink, autovideosink, xvimagesink, fakesink, ...
 _PASSWORD = re.compile(r"(?<=//)[^/@\s]*@")
 
 
@@ -38,15 +40,24 @@ def helper_launch(config: CameraConfig, size_px: tuple[int, int]) -> Launch | No
     if device.startswith(LIBCAMERA):
         asked |= {"camera": device.removeprefix(LIBCAMERA), "exposure_us": config.exposure_us}
         return gstreamer_launch({"kind": "libcamera", **asked}, device)
+    if device.startswith(URLS):
+        pipeline = f"uridecodebin uri={json.dumps(device)}"
+        return gstreamer_launch({"kind": "gst", "pipeline": pipeline, **asked}, without_password(device))
     if device.startswith(GST):
         pipeline = device.removeprefix(GST).strip()
         if not pipeline:
             raise ConfigError(f"camera.device: {GST} needs a pipeline, as {GST}v4l2src ! image/jpeg ! jpegdec")
+        end = pipeline.rpartition("!")[2].strip()
+        if _SINK.match(end):
+            raise ConfigError(
+                f"camera.device: the pipeline ends in {end.split()[0]!r}: leave that and the '!' before it out; "
+                "pictures are taken where the pipeline ends"
+            )
         return gstreamer_launch({"kind": "gst", "pipeline": pipeline, **asked}, without_password(device))
     if re.match(r"[a-z]+:", device):
         raise ConfigError(
-            f"camera.device = {device!r} is none of /dev/NAME, {LIBCAMERA}ID, rtsp://HOST/PATH, {GST}PIPELINE, "
-            f"{EXEC}COMMAND, replay:FOLDER"
+            f"camera.device = {device!r} is none of /dev/NAME, {LIBCAMERA}ID, rtsp://HOST/PATH, "
+            f"{', '.join(URLS)}..., {GST}PIPELINE, {EXEC}COMMAND, replay:FOLDER"
         )
     return None
 

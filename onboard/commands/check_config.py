@@ -45,9 +45,9 @@ class Named:
 
 def run(arguments: argparse.Namespace) -> int:
     """Load a configuration and print which files are good; with --fly, look at what they name as well."""
-    config = load_config_files(arguments.file)
+    config = load_config_files(arguments.config)
     named = look(config) if arguments.fly else []
-    for file in config_files(arguments.file):
+    for file in config_files(arguments.config):
         print(f"{file}: good")
     for thing in named:
         print(thing)

@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import asdict
 from typing import TextIO
 
@@ -33,6 +34,7 @@ from onboard.service.reports import Brightness, Report, gps_report
 from onboard.service.vehicle_state import gps_findings, second_findings, source_findings
 from onboard.telemetry.factory import open_telemetry
 
+RATE_S, FEWEST_FRAMES = 4.0, 6  # a look at a camera's rate, and the fewest pictures that show one
 GREEN, RED, PLAIN = "\x1b[32m", "\x1b[31m", "\x1b[0m"
 
 
@@ -69,6 +71,32 @@ def text(lines: list[Line], coloured: bool, explained: bool = False) -> str:
         out.append(f"{mark} {line.name:<{width}}{line.text}")
         out += [f"    {' ' * width}{sentence}" for sentence in MEANING[line.name]] if explained else []
     return "\n".join(out)
+
+
+def measured_rate_hz(config: Config, seconds: float = RATE_S) -> float | None:
+    """Pictures a second that the configured camera gives now; None where none come. Nothing is printed."""
+    camera = _camera(config)
+    if isinstance(camera, str):
+        return None
+    clock, stop, came_ns = SessionClock.start(), threading.Event(), list[int]()
+
+    def take(_: int, event: Event) -> None:
+        if isinstance(event, Frame):
+            came_ns.append(event.stamp_ns)
+
+    def look() -> None:
+        with suppress(PointclickError, OSError):  # the doctor reports it, with all else
+            open_camera(config, camera, clock).run(take, stop)
+
+    thread = threading.Thread(target=look, daemon=True)
+    thread.start()
+    thread.join(seconds)
+    stop.set()
+    thread.join(2.0)
+    settled_ns = came_ns[len(came_ns) // 3 :]  # exposure and buffers have settled by then
+    if len(settled_ns) < FEWEST_FRAMES:
+        return None
+    return (len(settled_ns) - 1) * 1e9 / (settled_ns[-1] - settled_ns[0])
 
 
 def _camera(config: Config) -> Camera | str:

@@ -17,7 +17,7 @@ from contract.camera import Camera
 from contract.errors import ConfigError, InputError
 from onboard.camera.photo_metadata import Focal
 from onboard.commands.flight_folder import next_to
-from onboard.config.schema import parse_config
+from onboard.config.schema import Config, parse_config, to_toml, validated
 from onboard.events.types import Attitude, GimbalAttitude
 from onboard.telemetry.telemetry_log import TelemetryLog
 
@@ -118,6 +118,20 @@ def system_of(settings: dict[str, str]) -> int:
     if not value.isdecimal():
         raise ConfigError(f"--set telemetry.system={value}: is no whole number")
     return int(value)
+
+
+def with_settings(config: Config, settings: dict[str, str]) -> Config:
+    """A configuration with other values of some keys. Raises ConfigError, naming a key that is none."""
+    table = tomllib.loads(to_toml(config))
+    for key, value in settings.items():
+        *sections, name = key.split(".")
+        place = table
+        for section in sections:
+            place = place.setdefault(section, {})
+            if not isinstance(place, dict):
+                raise ConfigError(f"--set {key}={value}: {section} is no section of the configuration")
+        place[name] = tomllib.loads(f"x = {value}")["x"]
+    return validated(table)
 
 
 def config_text(sections: dict[str, dict[str, str]], settings: dict[str, str]) -> str:

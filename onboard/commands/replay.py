@@ -25,6 +25,7 @@ from contract.wire.spot_code import encode_spots
 from contract.wire.track_code import encode_track
 from onboard.camera.picture_files import open_frames
 from onboard.camera.picture_mask import read_mask
+from onboard.commands.imported_flight import settings_of, with_settings
 from onboard.config.files import load_config_files, load_second_camera
 from onboard.config.schema import Config, parse_config, to_toml
 from onboard.events.sink import Sink
@@ -119,6 +120,9 @@ def _open_files(arguments: argparse.Namespace) -> _Inputs:
         raise InputError(f"replay needs a recording, or pictures and a log: {' and '.join(missing)} missing")
     config = Config() if arguments.config is None else load_config_files(arguments.config)
     config_text = "" if arguments.config is None else to_toml(config)
+    if arguments.set:
+        config = with_settings(config, settings_of(arguments.set))
+        config_text = to_toml(config)
     camera = Camera.from_json(arguments.camera)
     if arguments.record is not None:
         _check_place(arguments.record)
@@ -151,6 +155,9 @@ def _open_recording(arguments: argparse.Namespace) -> _Inputs:
             raise ConfigError(
                 f"recording {recorded.paths[0]}: its configuration (version {recorded.version or 'unknown'}): {error}"
             ) from error
+    if arguments.set:
+        config = with_settings(config, settings_of(arguments.set))
+        config_text = to_toml(config)
     camera = recorded.camera if arguments.camera is None else Camera.from_json(arguments.camera)
     return _Inputs(config, config_text, camera, recorded.state_json, recorded, recorded)
 

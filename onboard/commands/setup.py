@@ -41,11 +41,13 @@ MOUNTS = {  # roll, pitch, yaw, as `mount.*_deg`
     "forward and down by 45 degrees": (0.0, -45.0, 0.0),
     "forward": (0.0, 0.0, 0.0),
 }
+OTHER_MOUNT = "in another way, by its angles"
 BEST_WIDTH_PX = 1280  # the largest picture that a Pi follows at full rate
 SLOW_RATES = {"attitude_rate_hz": 20.0, "position_rate_hz": 5.0}
 NONE_FOUND = "another: rtsp://..., gst:PIPELINE, exec:COMMAND or a device"
 DOCTOR_S = 8.0
 WIRES = ("serial", "udpin", "udpout", "tcp")  # on which MAVLink comes
+ASKED, SLOWEST_HZ = 0.95, 0.1  # from this share on it is the rate that was asked for; and what can be configured
 SAME_MOUNT_DEG = 30.0  # between the configured mount and the one that was found, which has right angles
 
 
@@ -85,6 +87,7 @@ class Surroundings:
     wires: Callable[[], list[str]] = field(default=lambda: list(candidates()))
     listen: Callable[[str], list[FoundAutopilot]] = listen
     check: Callable[[argparse.Namespace], int] = doctor.run
+    rate_hz: Callable[[Config], float | None] = doctor.measured_rate_hz
 
 
 def run(arguments: argparse.Namespace, terminal: Terminal | None = None, around: Surroundings | None = None) -> int:
@@ -106,13 +109,25 @@ def run(arguments: argparse.Namespace, terminal: Terminal | None = None, around:
         "mount": dict(zip(("roll_deg", "pitch_deg", "yaw_deg"), mount, strict=True)),
         "camera": {"device": camera.device, "file": str(camera_file)},
         "telemetry": {"url": telemetry, "system": system, **(SLOW_RATES if is_slow(telemetry) else {})},
+        "recording": {"pictures": "jpeg"},  # the first flight's show how the camera sits: the step after this one
     }
-    written = to_toml(_checked(keys))
+    config = _checked(keys)
     if text is not None:
         _check_free(camera_file, arguments.force)
         write(camera_file, text.encode())
         print(f"written: {camera_file}")
-    return _finish(config_path, written, left, around)
+    return _finish(config_path, to_toml(_with_measured_rate(config, around)), left, around)
+
+
+def _with_measured_rate(config: Config, around: Surroundings) -> Config:
+    """The rate at which the camera gives pictures as it is set, where that is less than what it is asked for."""
+    print(f"looking at {config.camera.device.partition('://')[0]}", flush=True)
+    measured_hz = around.rate_hz(config)
+    if measured_hz is None or measured_hz >= ASKED * config.camera.rate_hz:
+        return config
+    rate_hz = max(float(f"{measured_hz:.3g}"), SLOWEST_HZ)
+    print(f"the camera gives {rate_hz:g} pictures a second: written as camera.rate_hz")
+    return config.model_copy(update={"camera": config.camera.model_copy(update={"rate_hz": rate_hz})})
 
 
 def _with_found_mount(session: Path) -> Config:
@@ -306,16 +321,19 @@ def _mount(arguments: argparse.Namespace, terminal: Terminal | None, left: list[
     at = 0
     if terminal is not None:
         terminal.show("The camera looks (the picture's top is towards the nose, unless stated otherwise):")
-        at = terminal.choose("how", names)
+        at = terminal.choose("how", [*names, OTHER_MOUNT])
     else:
         left.append(
             "the camera is taken to look down, the picture's top to the nose: --mount ROLL,PITCH,YAW changes that"
         )
     left.append(
-        "fly a minute with turns, `recording.pictures` on; then `pc-onboard setup --force --first-flight SESSION.mcap` "
-        "confirms how the camera sits, or corrects it"
+        "fly a minute with turns (pictures are recorded: `recording.pictures`); then `pc-onboard setup --force "
+        "--first-flight SESSION.mcap` confirms how the camera sits, or corrects it"
     )
-    return MOUNTS[names[at]]
+    if at < len(names):
+        return MOUNTS[names[at]]
+    assert terminal is not None
+    return terminal.ask("roll,pitch,yaw, degrees (0,-30,0: ahead, 30 below the horizon)", mount_angles)
 
 
 def _print_what_is_left(config: Path, left: list[str]) -> None:
@@ -341,6 +359,17 @@ def seen(line: str) -> Lens:
     if not 5.0 <= value <= 150.0:
         raise ValueError("degrees from 5 to 150")
     return _stated(value)
+
+
+def mount_angles(line: str) -> tuple[float, float, float]:
+    """Roll, pitch, yaw as in 0,-30,0, each a blank or a comma apart; raises ValueError."""
+    try:
+        found = [float(part) for part in line.replace(",", " ").split()]
+    except ValueError:
+        found = []
+    if len(found) != 3 or not all(abs(angle) <= 360.0 for angle in found):
+        raise ValueError("three angles as in 0,-30,0")
+    return found[0], found[1], found[2]
 
 
 def size_of(line: str) -> tuple[int, int]:

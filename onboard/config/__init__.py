@@ -4,6 +4,6 @@ Public:
 
 - `files`: `config_files`, `load_camera`, `load_config_files`, `load_second_camera`, `state_folder`
 - `schema`: `CameraConfig`, `Config`, `Gps`, `NOT_THERMAL`, `PictureConfig`, `SpotsConfig`, `ThermalConfig`,
-  `parse_config`, `to_toml`
+  `parse_config`, `to_toml`, `validated`
 - `second_camera`: `SecondCamera`
 """

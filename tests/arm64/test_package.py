@@ -165,7 +165,7 @@ def test_the_emulated_one_reads_its_configuration_and_helps(
     assert well(arm64("-m", "onboard", "check-config")) == "/etc/pointclick/config.toml: good\n"
     unknown = tmp_path / "config.toml"
     unknown.write_text("[mount]\npich_deg = 3.0\n")
-    done = arm64("-m", "onboard", "check-config", unknown)
+    done = arm64("-m", "onboard", "check-config", "--config", unknown)
     assert (done.returncode, "pitch_deg" in done.stderr) == (2, True)
 
 

@@ -38,6 +38,22 @@ def test_wrong_usage_is_one_line(arguments: list[str], capsys: pytest.CaptureFix
     assert complaint.startswith("pc-ground: error: ") and complaint.count("\n") == 1 and "--help" in complaint
 
 
+@pytest.mark.parametrize(
+    ("arguments", "meant"),
+    [
+        (["clik"], "no command 'clik'; did you mean 'click'?"),
+        (["pins", "exprot"], "no command 'exprot'; did you mean 'export'?"),
+        (["measure", "1", "2", "3", "4", "--format", "jsn"], "argument --format: 'jsn'; did you mean 'json'?"),
+        (["vehicles", "--conect", "x"], "did you mean --connect?"),
+        (["zzzzzz"], "invalid choice: 'zzzzzz'"),  # nothing is like it
+    ],
+)
+def test_what_was_probably_meant_is_named(arguments: list[str], meant: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(arguments)
+    assert meant in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("command", COMMANDS)
 def test_every_command_has_a_help(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
@@ -51,7 +67,7 @@ def test_a_full_disk_below_the_output_is_one_line(tmp_path: Path, command: list[
     config, pins = tmp_path / "config.toml", tmp_path / "pins.sqlite"
     config.write_text("")
     assert main([*PIN, "--pins", str(pins)]) == 0
-    more = ["--pins", str(pins)] if command[0] == "ground" else [str(config)]
+    more = ["--pins", str(pins)] if command[0] == "ground" else ["--config", str(config)]
     for buffered in ("", "1"):
         with Path("/dev/full").open("w") as full:
             done = subprocess.run(

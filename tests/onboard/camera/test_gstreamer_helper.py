@@ -8,16 +8,20 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from contract.errors import ConfigError
 from onboard.camera import helper_launch as launching
 from onboard.camera.frame_protocol import FrameReader, Header, Origin
 from onboard.camera.gstreamer_helper import (
@@ -48,7 +52,7 @@ from tests.onboard.link.ports import free_port
 from tests.rest_long import rest_long
 from tests.rtsp import RtspServer, drifting_ground, number_of
 from tests.rtsp_times import escaped, sei_unit
-from tests.waiting import PATIENCE_S
+from tests.waiting import PATIENCE_S, eventually
 
 SIZE_PX = (320, 240)
 RATE_HZ = 30.0
@@ -238,6 +242,33 @@ def test_a_pipeline_that_can_never_work_is_refused_in_one_line(device: str, why:
     with running(device, size_px=SIZE_PX) as camera:
         camera.thread.join(START_S)
     assert why in str(camera.error) and "\n" not in str(camera.error)
+
+
+@pytest.mark.parametrize("end", ["appsink", "autovideosink sync=false", "xvimagesink", "appsink name=out"])
+def test_a_pipeline_with_a_sink_of_its_own_is_refused_with_what_to_leave_out(end: str) -> None:
+    with pytest.raises(ConfigError, match=f"ends in '{end.split(maxsplit=1)[0]}': leave that"):
+        helper_launch(CameraConfig(device=f"gst:videotestsrc ! videoconvert ! {end}"), SIZE_PX)
+    assert helper_launch(CameraConfig(device="gst:videotestsrc ! videoconvert"), SIZE_PX) is not None
+
+
+@pytest.mark.usefixtures("gstreamer")
+def test_a_stream_is_opened_by_its_address(tmp_path: Path, pictures: list[np.ndarray]) -> None:
+    """By http a file of a camera's server; udp:// and srt:// are opened by the same element."""
+    writer = cv2.VideoWriter(str(tmp_path / "clip.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 10.0, SIZE_PX, False)  # type: ignore[attr-defined]
+    for k in range(40):
+        writer.write(pictures[k % len(pictures)])
+    writer.release()
+    handler = partial(SimpleHTTPRequestHandler, directory=str(tmp_path))
+    with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        try:
+            with running(f"http://127.0.0.1:{server.server_port}/clip.avi", size_px=SIZE_PX) as camera:
+                assert eventually(lambda: len(camera.frames) >= 5)
+        finally:
+            server.shutdown()
+    for device in ("udp://0.0.0.0:5600", "srt://127.0.0.1:7001"):
+        launch = helper_launch(CameraConfig(device=device), SIZE_PX)
+        assert launch is not None and f'uri=\\"{device}\\"' in launch.stdin.decode()
 
 
 @pytest.mark.usefixtures("gstreamer")

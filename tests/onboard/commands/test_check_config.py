@@ -48,7 +48,7 @@ def written(where: Path, device: object, url: str) -> Path:
 
 
 def checked(file: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, list[str]]:
-    code = main(["check-config", "--fly", str(file)])
+    code = main(["check-config", "--fly", "--config", str(file)])
     return code, capsys.readouterr().out.splitlines()
 
 
@@ -104,7 +104,7 @@ def test_pictures_that_run_would_refuse_are_refused_here(tmp_path: Path, capsys:
         if size is not None:
             Image.new("L", size).save(tmp_path / "frames" / "20260612T101523.25Z.png")
         file = written(tmp_path, f"replay:{tmp_path / 'frames'}", "udpin:127.0.0.1:14550")
-        assert main(["check-config", "--fly", str(file)]) == 2
+        assert main(["check-config", "--fly", "--config", str(file)]) == 2
         complaint = capsys.readouterr().err
         assert printed in complaint and complaint.count("\n") == 1
 
@@ -123,7 +123,7 @@ def test_a_file_is_no_serial_line_and_recorded_pictures_must_be_there(
 def test_what_no_waiting_mends_is_the_configurations_fault(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], url: str
 ) -> None:
-    assert main(["check-config", "--fly", str(written(tmp_path, "/dev/video0", url))]) == 2
+    assert main(["check-config", "--fly", "--config", str(written(tmp_path, "/dev/video0", url))]) == 2
     out, complaint = capsys.readouterr()
     assert (out, complaint.count("\n")) == ("", 1)
     assert "telemetry.url" in complaint

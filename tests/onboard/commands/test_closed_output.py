@@ -60,13 +60,13 @@ def test_status_ends_without_a_word(tmp_path: Path, buffered: bool, code: int) -
 
 def test_help_and_other_commands_do_too(tmp_path: Path) -> None:
     (tmp_path / "config.toml").write_text(default_toml())
-    done = to_no_one("check-config", tmp_path / "config.toml")
+    done = to_no_one("check-config", "--config", tmp_path / "config.toml")
     assert (done.stderr, done.returncode) == ("", 0)
     assert to_no_one("--help").stderr == to_no_one("--help", buffered=False).stderr == ""
 
 
 def test_an_error_is_still_reported(tmp_path: Path) -> None:
-    done = to_no_one("check-config", tmp_path / "none.toml")
+    done = to_no_one("check-config", "--config", tmp_path / "none.toml")
     assert done.returncode == 2
     assert "none.toml" in done.stderr and done.stderr.count("\n") == 1
 
@@ -76,5 +76,5 @@ def test_more_than_a_pipe_holds_ends_in_the_middle_without_a_verdict(tmp_path: P
     (tmp_path / "config.toml").write_text(default_toml())
     for number in range(200):
         (tmp_path / "config.d" / f"{number:03d}.toml").write_text("")
-    done = to_no_one("check-config", tmp_path / "config.toml")
+    done = to_no_one("check-config", "--config", tmp_path / "config.toml")
     assert (done.stderr, done.returncode) == ("", READER_GONE)

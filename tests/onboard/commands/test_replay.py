@@ -22,6 +22,7 @@ from contract.camera import Camera
 from contract.errors import InputError
 from contract.feature_set import FeatureSet, Status
 from onboard.__main__ import main
+from onboard.commands.replay import recorded_flight
 from onboard.config.schema import Config
 from onboard.events.types import Event, Frame
 from onboard.replay.runner import Flight, replay
@@ -234,10 +235,21 @@ def test_no_overlap_gives_both_spans_in_utc(session: Path, capsys: pytest.Captur
 
 
 def test_a_configuration_can_be_checked(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["check-config", str(session / "config.toml")]) == 0
+    assert main(["check-config", "--config", str(session / "config.toml")]) == 0
     assert "good" in capsys.readouterr().out
     spoil_key(session)
-    assert main(["check-config", str(session / "config.toml")]) == 2
+    assert main(["check-config", "--config", str(session / "config.toml")]) == 2
+    assert "did you mean 'mount.yaw_deg'?" in capsys.readouterr().err
+
+
+def test_a_key_is_set_for_one_replay(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    given = ("mount.yaw_deg=12.5", "vehicle.id=x1", "recording.pictures=lossless")
+    settings = [word for text in given for word in ("--set", text)]
+    code = main([*arguments(session, record=session / "set.mcap"), *settings])
+    assert code == 3, capsys.readouterr().err
+    config, _, _ = recorded_flight(session / "set.mcap")
+    assert (config.mount.yaw_deg, config.vehicle.id) == (12.5, "x1")
+    assert main([*arguments(session), "--set", "mount.yaw=3"]) == 2
     assert "did you mean 'mount.yaw_deg'?" in capsys.readouterr().err
 
 

@@ -40,7 +40,8 @@ class Around:
         self.checked: list[Path] = []
         self.received = received
         urls = ["udpin:0.0.0.0:14550", *{h.url: 0 for h in received}, "serial:/dev/ttyAMA0:115200"]
-        self.around = Surroundings(lambda: cameras, lambda: urls, self.listen, self.check)
+        self.measured_hz: float | None = 29.9
+        self.around = Surroundings(lambda: cameras, lambda: urls, self.listen, self.check, lambda _: self.measured_hz)
 
     def listen(self, url: str) -> list[FoundAutopilot]:
         self.listened.append(url)
@@ -130,6 +131,24 @@ def test_what_is_several_is_asked_and_wrong_answers_are_asked_again(out: Path) -
         and "  a size as in 1280x720" in stated
         and "  degrees from 5 to 150" in stated
     )
+
+
+def test_a_camera_may_sit_in_any_way_and_the_angles_are_asked_again_until_they_are_some(out: Path) -> None:
+    typed = Typed("", "", "7", "down a bit", "0, -30, 10")
+    assert setup.run(arguments(out), typed.terminal, Around([WEBCAM], [SERIAL]).around) == 0
+    mount = load_config_files(out).mount
+    assert (mount.roll_deg, mount.pitch_deg, mount.yaw_deg) == (0.0, -30.0, 10.0)
+    assert "  three angles as in 0,-30,0" in typed.shown
+
+
+@pytest.mark.parametrize(("measured_hz", "written"), [(29.4, 30.0), (14.987, 15.0), (None, 30.0)])
+def test_the_rate_that_the_camera_really_gives_is_written(out: Path, measured_hz: float | None, written: float) -> None:
+    around = Around([WEBCAM], [SERIAL])
+    around.measured_hz = measured_hz
+    assert setup.run(arguments(out, "--yes"), None, around.around) == 0
+    config = load_config_files(out)
+    assert config.camera.rate_hz == written
+    assert config.recording.pictures == "jpeg"  # the step that setup names next needs them
 
 
 def test_empty_lines_take_what_is_shown(out: Path) -> None:

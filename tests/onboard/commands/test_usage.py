@@ -17,6 +17,8 @@ from onboard.__main__ import main
         (["replay", "--speed", "nan"], "'nan' is neither"),
         (["make-credentials", "keys", "--days", "-1"], "'-1' is no number of days"),
         ([], "required: COMMAND"),
+        (["stauts"], "no command 'stauts'; did you mean 'status'?"),
+        (["replay", "--sett", "a.b=1"], "unrecognized arguments: --sett; did you mean --set?"),
     ],
 )
 def test_wrong_usage_is_one_line_without_names_of_ours(

@@ -76,7 +76,7 @@ def test_the_complaint_names_the_file_at_fault(
         load_config_files(etc / "config.toml")
     assert str(etc / "config.d" / "20-bad.toml") in str(caught.value)
     assert printed in str(caught.value)
-    assert main(["check-config", str(etc / "config.toml")]) == 2
+    assert main(["check-config", "--config", str(etc / "config.toml")]) == 2
     complaint = capsys.readouterr().err
     assert complaint.count("\n") == 1
     assert "20-bad.toml" in complaint
@@ -84,7 +84,7 @@ def test_the_complaint_names_the_file_at_fault(
 
 def test_check_config_names_every_file_it_found_good(etc: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (etc / "config.d" / "a.toml").write_text("")
-    assert main(["check-config", str(etc / "config.toml")]) == 0
+    assert main(["check-config", "--config", str(etc / "config.toml")]) == 0
     assert capsys.readouterr().out.splitlines() == [
         f"{etc / 'config.toml'}: good",
         f"{etc / 'config.d' / 'a.toml'}: good",

@@ -156,7 +156,7 @@ def test_a_configuration_that_cannot_fly_is_one_line_and_exit_2(tmp_path: Path, 
     assert done.returncode == 2
     (line,) = done.stdout.splitlines()
     assert printed in line
-    assert main(["check-config", "--fly", str(tmp_path / "config.toml")]) == 2
+    assert main(["check-config", "--fly", "--config", str(tmp_path / "config.toml")]) == 2
 
 
 def test_the_doctor_looks_for_itself_and_calls_what_is_missing_bad(tmp_path: Path) -> None:
