@@ -44,7 +44,7 @@ PICTURE_TIMEOUT_S = 8.0  # of a picture asked for by its number or its time, whi
 # Time without a message after which a listener opens the link again: longer than a short break, shorter than the time
 # for which a coordinator waits.
 RENEW_S = 8.0
-RENEWAL_PERIOD_S = 0.5
+RENEWAL_PERIOD_S = 0.1  # between looks at the link, and at what is in doubt
 # The session that a message states, by the last chunk of its key.
 SESSION_OF: dict[str, Callable[[str, bytes], int]] = {
     "status": lambda key, payload: read_status(key, payload)[1].session,
@@ -279,6 +279,13 @@ class SetCache:
         """What is to be known of the aircraft's clock, in words; empty where it agrees with this computer's."""
         with self._lock:
             return "" if (held := self._vehicles.get(vehicle)) is None else held.doubt(Moment.now())
+
+    def is_certain(self, vehicle: str) -> bool:
+        """Whether ages of a vehicle's pictures are known, and not only what they are at most; true before any came."""
+        with self._lock:
+            held = self._vehicles.get(vehicle)
+            clock = None if held is None else held.clock
+            return clock is None or clock.is_certain(Moment.now())
 
     def is_of_now(self, vehicle: str, session: int) -> bool:
         """Whether a message that states this session is of the one that runs; true before any set came."""

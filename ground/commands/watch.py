@@ -129,7 +129,7 @@ def run(args: argparse.Namespace) -> int:
                 age_s, rate_hz, doubt = cache.age_s(name), received.rate_hz(name), cache.doubt(name)
                 if age_s is None and state is not None and (when := stamped_elsewhen(state.unix_s, time.time())):
                     doubt = f"the status is {when}: it is old, or a clock is wrong"
-                rows.append(_row(name, newest, state, age_s, rate_hz, doubt))
+                rows.append(_row(name, newest, state, age_s, rate_hz, doubt, cache.is_certain(name)))
             if not rows and not args.json:
                 print(f"nothing received yet{f': {cache.link_error}' if cache.link_error else ''}", file=sys.stderr)
             ago_s = cache.stamped_ago_s
@@ -188,6 +188,7 @@ def _row(
     age_s: float | None,
     rate_hz: float | None,
     doubt: str = "",
+    is_certain: bool = True,
 ) -> Row:
     state, reason = ("", "") if status is None else (status.state, status.reason)
     ce90 = None
@@ -199,10 +200,11 @@ def _row(
         state = state or newest.status.value
         reason = reason or ("" if mark.is_placed else mark.reason)
     if age_s is not None and age_s > MAX_AGE_S:
-        last = f"; last: {state}" if state else ""
-        state, reason = ("old?", doubt + last) if doubt else ("no link", f"nothing received for {span(age_s)}" + last)
-    elif doubt:
-        reason = "; ".join(text for text in (reason, doubt) if text)
+        parts = [f"nothing received for {span(age_s)}" if is_certain else "", doubt, f"last: {state}" if state else ""]
+        state = "no link" if is_certain else "old?"
+    else:
+        parts = [reason, doubt]
+    reason = "; ".join(text for text in parts if text)
     is_placed = newest is not None and newest.is_ok
     height = None
     if newest is not None and is_placed:

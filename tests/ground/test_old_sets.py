@@ -135,6 +135,33 @@ def test_watch_shows_yesterday_s_sets_a_day_old_and_next_to_today_s_not_at_all(
     assert "old" not in row["state"]
 
 
+def test_a_silent_aircraft_whose_clock_is_known_has_no_link(sender: Sender, capsys: pytest.CaptureFixture[str]) -> None:
+    """Its clock is off by a day, as it has answered: its newest picture is old, and not perhaps old."""
+    sender.put(DAY_S)
+    newest = dataclasses.replace(
+        BASE, frame=1, capture_unix_ns=time.time_ns() - round(DAY_S * 1e9), session=round(sender.began_s - DAY_S)
+    )
+    answer = encode(newest)
+
+    def answers(query: zenoh.Query) -> None:
+        with query:
+            query.reply(KEY, answer, attachment=b'{"age_s":20}')
+
+    sender.session.declare_queryable(KEY, answers)
+    row: Any = None
+
+    def again(sender: Sender) -> None:
+        sender.session.put(KEY, answer, attachment=b"20")
+
+    def is_silent() -> bool:
+        nonlocal row
+        row, _ = watched(sender, again, capsys)
+        return row is not None and row["state"] == "no link"
+
+    assert eventually(is_silent), row
+    assert row["reason"].startswith("nothing received for 2") and "the aircraft's clock is 24 h behind" in row["reason"]
+
+
 def test_the_page_has_them_as_old_and_cot_sends_no_position(sender: Sender, tmp_path: Path) -> None:
     source = LiveSource([sender.endpoint])
     try:
