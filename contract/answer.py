@@ -35,6 +35,7 @@ EXPLANATIONS: dict[Status, str] = {
     Status.UNKNOWN_FRAME: "there is no such picture",
     Status.BAD_PICTURE: "the picture could not be read",
     Status.OUTSIDE_CALIBRATION: "the lens calibration does not hold at this pixel",
+    Status.REPETITIVE: "the ground repeats itself (rows, tiles): what was matched may be a whole row off",
     Status.STABILISED: "the camera's electronic stabilisation shifts the picture: switch it off",
     Status.ZOOMED: "the lens has zoomed or refocused since it was calibrated: set it back",
 }

@@ -48,6 +48,7 @@ class Status(Enum):
     OUTSIDE_CALIBRATION = "outside_calibration"
     STABILISED = "stabilised"
     ZOOMED = "zoomed"
+    REPETITIVE = "repetitive"
 
     @property
     def code(self) -> int:

@@ -21,6 +21,7 @@ ADVICE: dict[Status, str] = {
     Status.UNKNOWN_FRAME: "step to another picture: this one did not arrive",
     Status.BAD_PICTURE: "step to an earlier or later picture",
     Status.OUTSIDE_CALIBRATION: "step to a picture that shows the place nearer to its middle",
+    Status.REPETITIVE: "step to a picture with the field's border, a path or trees in it",
     Status.STABILISED: "step to an earlier picture; the camera's stabilisation must be switched off",
     Status.ZOOMED: "step to a picture taken before the zoom, or have the lens set back",
 }

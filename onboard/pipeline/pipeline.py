@@ -256,6 +256,8 @@ class Pipeline:
         rate = self.navigation.body_rate_at(self._moment_ns(frame.stamp_ns))
         is_turning = rate is not None and float(np.linalg.norm(rate)) > TURN_RAD_S
         reason = Status.TURNING if is_turning else Status.FEATURELESS
+        if self.tracker.is_ambiguous:  # there was enough to follow, and no one knows by how many rows it is off
+            reason = Status.REPETITIVE
         if self._misses >= MAX_MISSES or (is_slow and self._overlap < MIN_OVERLAP):
             self._restart()  # which still adopts a window of before
             self._lens_doubt.lost(frame.stamp_ns, self._overlap)

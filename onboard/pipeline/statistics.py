@@ -48,6 +48,8 @@ REMEDIES: dict[Status | Break, str] = {
     "pictures and log must have the same clock",
     Status.FEATURELESS: "check focus, exposure and that the lens looks at the ground",
     Status.TURNING: "take pictures more often, or turn slower",
+    Status.REPETITIVE: "take pictures more often or fly higher: where each one is must be predicted to half a row; a "
+    "field's border or a path in the picture helps",
     Status.LOW_PARALLAX: "fly on, or state where the ground is: terrain.path, solve.home_level or a range finder",
     Status.STABILISED: "switch the camera's image stabilisation (EIS) off",
     Status.ZOOMED: "fix zoom and focus where they were calibrated",
@@ -197,7 +199,10 @@ class RunStatistics:
             )
         worst = max((s for s in statuses if s is not Status.STARTING), key=lambda s: statuses[s], default=None)
         is_still = self._span_m < MIN_SPAN * self._height_m and sum(self._apart_s) > PATIENCE_NS / 1e9
-        if worst in (Status.FEATURELESS, Status.TURNING) and statuses[worst] > statuses[Status.STARTING]:
+        if (
+            worst in (Status.FEATURELESS, Status.TURNING, Status.REPETITIVE)
+            and statuses[worst] > statuses[Status.STARTING]
+        ):
             return self._shortfall_of(worst)
         if worst is Status.LOW_PARALLAX or is_still:
             return self._shortfall_of(Status.LOW_PARALLAX)
@@ -248,6 +253,7 @@ class RunStatistics:
             f"{attitude_gap_s:g} s about {count} pictures",
             Status.FEATURELESS: f"nothing to follow on {count} pictures",
             Status.TURNING: f"turning too fast to follow the ground on {count} pictures",
+            Status.REPETITIVE: f"the ground repeats itself (rows, tiles) on {count} pictures: a match may be a row off",
             Status.LOW_PARALLAX: f"no parallax: {self._span_m:.0f} m travelled at {self._height_m:.0f} m above home",
             Status.STABILISED: f"electronic stabilisation shifted {count} pictures",
             Status.ZOOMED: f"the lens had zoomed or refocused on {count} pictures",

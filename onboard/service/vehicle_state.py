@@ -135,12 +135,13 @@ _REFUSALS: dict[Status, tuple[VehicleState, str]] = {
     Status.TURNING: (VehicleState.TURNING, "turning too fast to follow features"),
     Status.LOW_PARALLAX: (VehicleState.LOW_PARALLAX, "standing still: no depth without motion"),
     Status.POOR_FIT: (VehicleState.POOR_FIT, "pictures and telemetry contradict each other"),
+    Status.REPETITIVE: (VehicleState.FEATURELESS, "the ground repeats itself (rows)"),
     Status.STABILISED: (VehicleState.POOR_FIT, "electronic stabilisation shifts the pictures"),
     Status.ZOOMED: (VehicleState.POOR_FIT, "the lens has zoomed or refocused"),
     Status.UNCERTAIN: (VehicleState.POOR_FIT, "too uncertain to answer"),
 }
 # The result of pictures on the ground, where the camera may look at grass from 10 cm: no fault before flight.
-_OF_REST = (Status.STARTING, Status.LOW_PARALLAX, Status.FEATURELESS)
+_OF_REST = (Status.STARTING, Status.LOW_PARALLAX, Status.FEATURELESS, Status.REPETITIVE)
 # The state while the position is not accepted, by the result of the newest pictures; else there is no GPS.
 _OF_POSITION: dict[Status | None, VehicleState] = {
     Status.OK: VehicleState.DEGRADED,

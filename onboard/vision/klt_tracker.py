@@ -112,6 +112,7 @@ class Tracker:
         self._hann: NDArray[np.float32] | None = None
         self._normalise = Normaliser(size_px)
         self._repetition_px: float | None = None  # at which the keyframe repeats itself, if it does
+        self.is_ambiguous = False  # whether the last picture's tracks were given up because they may be a row off
         self._standing = StandingParts(size_px)
         self._masked: NDArray[np.bool_] | None = None  # (H, W) what is no ground, as configured
         self._burned_in: NDArray[np.bool_] | None = None  # the same with what has been found to stand still
@@ -153,7 +154,7 @@ class Tracker:
         return tracks
 
     def _find_again(self, image: Picture, predicted: Array | None) -> Tracks:
-        self._newest = image
+        self._newest, self.is_ambiguous = image, False
         self._current = self._normalised(image)
         if self._picture is None or not len(self._ids):
             return self.nothing()
@@ -174,6 +175,7 @@ class Tracker:
                 best = self.nothing()
         self._levels = None
         if self._repetition_px is not None and not self._is_sure(best, predicted, carried_on):
+            self.is_ambiguous = True
             return self.nothing()
         if len(best) >= MIN_TRACKS:
             if self._is_plenty(best):

@@ -112,17 +112,17 @@ def test_stripes_are_distinguished_by_telemetry(spec: SessionSpec) -> None:
 
 
 @pytest.mark.parametrize("rate_hz", rest_long([1.0, 3.0]))
-def test_stripes_without_attitude_are_featureless(rate_hz: float) -> None:
-    """Nothing says by how many rows the picture moved (answered, it was 140 to 340 m off): featureless."""
+def test_stripes_without_attitude_are_called_what_they_are(rate_hz: float) -> None:
+    """Nothing says by how many rows the picture moved (answered, it was 140 to 340 m off): repetitive."""
     spec = replace(LARGE, rate_hz=rate_hz, texture=TextureSpec("stripes"))
-    refuses(play(simulated(spec), ("solve.attitude", "none"), ("solve.level_ground", True)), Status.FEATURELESS)
+    refuses(play(simulated(spec), ("solve.attitude", "none"), ("solve.level_ground", True)), Status.REPETITIVE)
 
 
 @pytest.mark.long  # short: a picture a second without attitude, above
-def test_stripes_far_apart_in_time_are_featureless() -> None:
-    """Two and a half rows between pictures, more than telemetry predicts to half a row: featureless."""
+def test_stripes_far_apart_in_time_are_called_what_they_are() -> None:
+    """Two and a half rows between pictures, more than telemetry predicts to half a row: repetitive."""
     spec = replace(LARGE, rate_hz=1.0, seconds=12.0, texture=TextureSpec("stripes"))
-    refuses(play(simulated(spec)), Status.FEATURELESS)
+    refuses(play(simulated(spec)), Status.REPETITIVE)
 
 
 @pytest.mark.long

@@ -69,6 +69,7 @@ def test_rows_are_followed_as_far_as_telemetry_tells_them_apart() -> None:
         tracker.promote(tracker.nothing())
         tracks = tracker.track(rows(period, moved), None if reported is None else shifted(reported))
         assert (len(tracks) > 30) is followed, reported
+        assert tracker.is_ambiguous is not followed  # which is not the same as too little texture
         if followed:
             assert np.median(tracks.uv_px[:, 0] - tracks.keyframe_uv_px[:, 0]) == pytest.approx(moved, abs=0.3)
 
@@ -78,9 +79,10 @@ def test_a_step_that_telemetry_cannot_tell_to_half_a_row_is_not_followed() -> No
     tracker = Tracker(SIZE, 100)
     tracker.track(rows(12.0), None)
     tracker.promote(tracker.nothing())
-    assert len(tracker.track(rows(12.0, 60.0), shifted(60.0))) == 0
+    assert len(tracker.track(rows(12.0, 60.0), shifted(60.0))) == 0 and tracker.is_ambiguous
+    assert len(tracker.track(np.full(SIZE[::-1], 90, np.uint8), shifted(60.0))) == 0
     other = Tracker(SIZE, 100)
     other.track(wild(4), None)
     other.promote(other.nothing())
     moved = np.asarray(cv2.warpAffine(wild(4), shifted(60.0)[:2], SIZE), np.uint8)
-    assert len(other.track(moved, shifted(60.0))) > 30
+    assert len(other.track(moved, shifted(60.0))) > 30 and not other.is_ambiguous
