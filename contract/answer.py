@@ -17,6 +17,9 @@ Array = NDArray[np.float64]
 CONFIDENCE = 0.9
 CHI2_2 = -2.0 * math.log(1.0 - CONFIDENCE)  # quantile of chi-square with two degrees of freedom: 4.605
 
+ROUNDED_SHARE = 0.2  # of its 90 % radius by which rounding may move a place: the radius grows by less than a hundredth
+DEGREES = 111_700.0, 7  # metres that a degree is at most, and the most decimals of it that are written
+
 # Refusals in a sentence: what is wrong, and what may help.
 EXPLANATIONS: dict[Status, str] = {
     Status.OK: "answered",
@@ -41,6 +44,14 @@ EXPLANATIONS: dict[Status, str] = {
 }
 
 
+def decimals(unit_m: float, most: int, radius_m: float) -> int:
+    """Of a coordinate for people, one whole unit of which is at most `unit_m`: as few as move a place by at most
+    ROUNDED_SHARE of its 90 % radius.
+    """
+    allowed_m = ROUNDED_SHARE * radius_m
+    return next((count for count in range(most) if math.sqrt(0.5) * unit_m * 10.0**-count <= allowed_m), most)
+
+
 @dataclass(frozen=True)
 class Ellipse:
     """Horizontal error ellipse at `CONFIDENCE`; azimuth of the major axis clockwise from north, in [0, 180)."""
@@ -63,6 +74,11 @@ class Ellipse:
         axes = self.axes_en
         variances_m2 = np.array([self.semi_major_m, self.semi_minor_m]) ** 2 / CHI2_2
         return axes.T @ np.diag(variances_m2) @ axes + 1e-6 * np.eye(2)
+
+    def rounded(self, lat_deg: float, lon_deg: float) -> str:
+        """Latitude and longitude of what it is about, for people: to as many digits as it gives meaning to."""
+        digits = decimals(*DEGREES, self.semi_major_m)
+        return f"{lat_deg:.{digits}f} {lon_deg:.{digits}f}"
 
     @property
     def axes_en(self) -> Array:
@@ -153,7 +169,7 @@ class Fix:
         height = f"{amsl:.1f} m AMSL" if amsl is not None else f"{ellipsoid:.1f} m above the ellipsoid"
         e = self.ellipse
         return (
-            f"{self.lat_deg:.9f} {self.lon_deg:.9f}  {height} +-{self.sigma_height_m:.1f} m  "
+            f"{e.rounded(self.lat_deg, self.lon_deg)}  {height} +-{self.sigma_height_m:.1f} m  "
             f"{CONFIDENCE:.0%} ellipse {e.semi_major_m:.1f} x {e.semi_minor_m:.1f} m at {e.azimuth_deg:.0f} deg  "
             f"{self.method}  frame {self.frame} of {self.vehicle} at {time_utc(self.capture_unix_ns)}, "
             f"{age_text(self.age_s)}"

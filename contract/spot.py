@@ -60,7 +60,7 @@ class Spot:
             return f"{how}  {self.status.value}: {EXPLANATIONS[self.status]}"
         e = p.ellipse
         return (
-            f"{how}  {p.lat_deg:.7f} {p.lon_deg:.7f}  {CONFIDENCE:.0%} ellipse {e.semi_major_m:.1f} x "
+            f"{how}  {e.rounded(p.lat_deg, p.lon_deg)}  {CONFIDENCE:.0%} ellipse {e.semi_major_m:.1f} x "
             f"{e.semi_minor_m:.1f} m at {e.azimuth_deg:.0f} deg  {self.area_m2:.2g} +-{self.sigma_area_m2:.1g} m2"
         )
 

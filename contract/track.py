@@ -113,7 +113,7 @@ class TrackReport:
         else:
             e = p.ellipse
             where = (
-                f"{p.lat_deg:.7f} {p.lon_deg:.7f}  {CONFIDENCE:.0%} ellipse {e.semi_major_m:.1f} x "
+                f"{e.rounded(p.lat_deg, p.lon_deg)}  {CONFIDENCE:.0%} ellipse {e.semi_major_m:.1f} x "
                 f"{e.semi_minor_m:.1f} m at {e.azimuth_deg:.0f} deg"
             )
         return f"track {self.number} {state}  {where}  {self.course_text}  at {time_utc(self.capture_unix_ns)}"

@@ -23,6 +23,7 @@ from ground.commands.values import finite, frame_number, origin, pin_number, pos
 from ground.formats import geojson
 from ground.formats.documents import FORMATS, IMPORTED, one_line, read_pins, text_line
 from ground.formats.mark import Mark
+from ground.formats.rounded import rounded_text
 from ground.freshness import MAX_AGE_S
 from ground.link_options import UsageError, add_tls_arguments, tls_of
 from ground.pins.file import chosen_store
@@ -271,8 +272,9 @@ def _tie(store: PinStore, args: argparse.Namespace) -> int:
 def _ties(store: PinStore, args: argparse.Namespace) -> int:
     for tie in store.ties():
         c = tie.click
+        where = rounded_text("degrees", tie.lat_deg, tie.lon_deg, CE90_SIGMAS * tie.sigma_m)
         print(
-            f"{tie.id[:8]}  {one_line(tie.name) or '(no name)'}  {tie.lat_deg:.7f} {tie.lon_deg:.7f} "
+            f"{tie.id[:8]}  {one_line(tie.name) or '(no name)'}  {where} "
             f"+-{tie.sigma_m:g} m  frame {c.frame} of {c.vehicle}, session {c.session}  {one_line(tie.who)}"
         )
     return ANSWERED

@@ -97,7 +97,7 @@ def summary(seen: SeenGround, found: Coverage) -> list[str]:
     share, count = _share(found.seen_of_searched_m2, found.searched_m2), len(found.gaps)
     lines.append(f"searched area ({which}): {_area(found.searched_m2)}, seen {share}, {count} gap{_s(count)}")
     for number, gap in enumerate(found.gaps[:GAPS_LISTED], 1):
-        lines.append(f"gap {number}: {_area(gap.area_m2)} about {gap.lat_deg:.6f}, {gap.lon_deg:.6f}")
+        lines.append(f"gap {number}: {_area(gap.area_m2)} about {gap.lat_deg:.5f}, {gap.lon_deg:.5f}")
     return lines
 
 

@@ -77,7 +77,7 @@ class Row:
         return (
             one_line(self.vehicle), one_line(self.state), "-" if self.age_s is None else span(self.age_s),
             "-" if self.rate_hz is None else f"{self.rate_hz:.1f}/s",
-            "-" if self.lat_deg is None else f"{self.lat_deg:.6f} {self.lon_deg:.6f}",
+            "-" if self.lat_deg is None else f"{self.lat_deg:.5f} {self.lon_deg:.5f}",
             "-" if self.tracks is None else str(self.tracks), "-" if self.ce90_m is None else f"{self.ce90_m:.1f} m",
             one_line("; ".join(text for text in (self.reason, self.radius) if text)),
         )  # fmt: skip

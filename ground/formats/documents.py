@@ -16,6 +16,7 @@ from ground.formats import cot, geojson, gpx, kml, table
 from ground.formats.coordinates import Grid, latlon_text, mgrs_text, utm_text
 from ground.formats.imported import Imported
 from ground.formats.mark import Mark
+from ground.formats.rounded import rounded_text
 
 COT_STALE_S = 3600.0
 MAX_IMPORT_BYTES = 500_000_000
@@ -39,7 +40,7 @@ def text_line(mark: Mark, grid: Grid | None = None) -> str:
         return rest if grid is None else f"{_in(grid, mark)} {rest.partition('  ')[2]}"
     if mark.answer is not None:
         return mark.answer.to_text()
-    where = latlon_text(*mark.position) if mark.is_placed else "-"
+    where = rounded_text("degrees", *mark.position, mark.ce90_m) if mark.is_placed else "-"
     if grid is not None and mark.is_placed:
         where = _in(grid, mark)
     name = one_line(mark.name)

@@ -86,7 +86,7 @@ class FoundThing:
         p, e = self.place, self.place.ellipse
         times = "once" if self.pictures == 1 else f"in {self.pictures} pictures since {time_utc(self.first_unix_ns)}"
         return (
-            f"spot {self.number}  {self.heat_text}  {p.lat_deg:.7f} {p.lon_deg:.7f}  {CONFIDENCE:.0%} ellipse "
+            f"spot {self.number}  {self.heat_text}  {e.rounded(p.lat_deg, p.lon_deg)}  {CONFIDENCE:.0%} ellipse "
             f"{e.semi_major_m:.1f} x {e.semi_minor_m:.1f} m at {e.azimuth_deg:.0f} deg  "
             f"{self.course_text}  {self.area_m2:.2g} m2  seen {times}, last by {self.newest.vehicle} "
             f"at {time_utc(self.last_unix_ns)}"

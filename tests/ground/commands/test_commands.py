@@ -73,6 +73,9 @@ def test_a_click_in_every_format(session: str, capsys: pytest.CaptureFixture[str
     status, out, err = run(capsys, "click", 300, 200, "--frame", 3, "--from", session, "--format", form)
     assert (status, err) == (0, "")
     figures_of = {"mgrs": "55HFA", "utm": "55H ", "dms": "35°21'", "dm": "35°21."}
+    # For people as many digits as the ellipse gives meaning to; in files for machines all.
+    figures_of["text"] = fix.ellipse.rounded(fix.lat_deg, fix.lon_deg)
+    assert len(figures_of["text"].split()[0].partition(".")[2]) == 5 and 1.0 < fix.ellipse.semi_major_m < 50.0
     assert figures_of.get(form, f"{fix.lat_deg:.9f}"[:11]) in out
     if form not in ("text", "json"):
         assert "CE90" in out or "ce90_m" in out

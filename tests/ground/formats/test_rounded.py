@@ -7,8 +7,9 @@ import re
 import numpy as np
 import pytest
 
+from contract.answer import ROUNDED_SHARE
 from contract.geodesy import LocalFrame
-from ground.formats.rounded import SHARE, decimals, rounded_text, spaced_mgrs, spoken_mgrs
+from ground.formats.rounded import decimals, rounded_text, spaced_mgrs, spoken_mgrs
 
 
 @pytest.mark.parametrize("ce90_m", [0.8, 3.2, 6.0, 25.0, 90.0, 700.0])
@@ -18,11 +19,11 @@ def test_rounding_moves_a_place_by_at_most_a_fifth_of_its_radius(ce90_m: float) 
         lat, lon = float(rng.uniform(-60, 60)), float(rng.uniform(-180, 180))
         back = [float(part) for part in rounded_text("degrees", lat, lon, ce90_m).split()]
         east, north, _ = LocalFrame(lat, lon, 0.0).to_enu(back[0], back[1], 0.0)
-        assert np.hypot(east, north) <= SHARE * ce90_m + 0.02
+        assert np.hypot(east, north) <= ROUNDED_SHARE * ce90_m + 0.02
         text = rounded_text("degrees", lat, lon, ce90_m)
         coarser = [round(v, decimals("degrees", ce90_m) - 1) for v in (lat, lon)]
         assert len(text.split()[0].partition(".")[2]) == decimals("degrees", ce90_m)
-        assert np.sqrt(0.5) * 111_700.0 * 10.0 ** (1 - decimals("degrees", ce90_m)) > SHARE * ce90_m, coarser
+        assert np.sqrt(0.5) * 111_700.0 * 10.0 ** (1 - decimals("degrees", ce90_m)) > ROUNDED_SHARE * ce90_m, coarser
 
 
 def test_minutes_and_seconds_never_reach_sixty() -> None:
