@@ -15,9 +15,14 @@ Expected geometric failure (too little parallax, a click at the sky) is a value,
 
 from __future__ import annotations
 
+from contract.secrets import without_secrets
+
 
 class PointclickError(Exception):
-    """Base of every error this project raises on purpose."""
+    """Base of every error this project raises on purpose. Its message bears no secret of an address."""
+
+    def __init__(self, message: str = "") -> None:
+        super().__init__(without_secrets(message))
 
 
 class ConfigError(PointclickError):

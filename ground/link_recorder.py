@@ -16,6 +16,7 @@ from typing import IO, Any
 
 from contract import recording_format as names
 from contract.errors import InputError, WireError
+from contract.secrets import new_recording
 from contract.topics import FEATURES, PICTURE, SPOTS, STATUS, TRACKS
 from contract.wire.message import peek_set, read_picture_piece, read_spots, read_status, read_tracks
 from ground.dropped_messages import DroppedMessages
@@ -135,7 +136,7 @@ class _File:
         from mcap.writer import CompressionType, Writer  # noqa: PLC0415
 
         self.path = path
-        self._stream: IO[bytes] = path.open("xb")
+        self._stream: IO[bytes] = new_recording(path)
         self._writer: Any = Writer(self._stream, use_chunking=False, compression=CompressionType.NONE)
         self._writer.start(profile="", library="pointclick ground")
         about = {"vehicle": vehicle, "recorder": "ground", "part": "1", "complete": "no"}

@@ -15,6 +15,7 @@ import numpy as np
 
 from contract.errors import InputError
 from contract.feature_set import FeatureSet, Status
+from contract.secrets import without_secrets
 from contract.supervised_thread import Policy, SupervisedThread
 from ground.web.source import FrameRow, Source
 from ground.web.video_delay import (
@@ -29,7 +30,7 @@ from ground.web.video_delay import (
     is_seen,
     nearest_within,
 )
-from ground.web.video_frames import corner_strength, open_video, position_s, retrieved, to_jpeg, without_login
+from ground.web.video_frames import corner_strength, open_video, position_s, retrieved, to_jpeg
 from ground.web.video_live import unsettled
 from ground.web.video_reader import MAX_HZ
 from ground.web.with_video import aspect_trouble
@@ -47,7 +48,7 @@ class FileFootage:
         self.vehicle = vehicle
         self.version = 0
         self._source = source
-        self._name = without_login(source)
+        self._name = without_secrets(source)
         self._inner = inner
         self._entered_s = delay_s
         self._rows = [row for row in inner.frames(vehicle) if row.status is Status.OK]

@@ -26,7 +26,6 @@ STRENGTH_UNIT = 20.0  # steps of a standard deviation
 AROUND_PX = 25  # what a corner is compared with: forest is all corners, and a meadow has some too
 TIMEOUT_MS = 8000
 _GRABBER = re.compile(r"/dev/video(\d+)")
-_LOGIN = re.compile(r"(?<=://)[^/@]*@")
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,11 +78,6 @@ class Ring:
             return self.epoch, list(self._frames)
 
 
-def without_login(source: str) -> str:
-    """A video's name for people: what is before the @ of an address may hold a password."""
-    return _LOGIN.sub("", source)
-
-
 def open_video(source: str) -> Any:
     """A `cv2.VideoCapture` of a file, an address or /dev/videoN. Raises InputError for what cannot be opened."""
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # its own messages on standard error do not help
@@ -105,7 +99,7 @@ def open_video(source: str) -> Any:
             if grabber
             else "is it a video, and does its address answer?"
         )
-        raise InputError(f"--video {without_login(source)}: cannot be opened; {what}")
+        raise InputError(f"--video {source}: cannot be opened; {what}")
     return capture
 
 

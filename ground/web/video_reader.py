@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from contract.errors import InputError
+from contract.secrets import without_secrets
 from contract.supervised_thread import Policy, Stop, SupervisedThread
 from ground.web.video_frames import (
     Ring,
@@ -17,7 +18,6 @@ from ground.web.video_frames import (
     open_video,
     position_s,
     retrieved,
-    without_login,
 )
 
 MAX_HZ = 20.0  # of a faster video frames are dropped
@@ -54,7 +54,7 @@ class VideoReader:
     """Reads until it is closed. Raises InputError if the video cannot be opened at first."""
 
     def __init__(self, source: str, ring: Ring, retry_s: tuple[float, float] = (FIRST_RETRY_S, MAX_RETRY_S)) -> None:
-        self.name = without_login(source)
+        self.name = without_secrets(source)
         self._trouble = ""
         self._source = source
         self._ring = ring

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from contract.errors import ConfigError
+from contract.secrets import without_secrets
 from onboard.camera.helper_camera import Launch
 from onboard.config.schema import CameraConfig
 
@@ -22,7 +23,6 @@ ASK_S = 20.0  # GStreamer looks through all its plugins when it is asked for the
 HELPER = Path(__file__).with_name("gstreamer_helper.py")
 IN_SOFTWARE = {"avdec_h264", "avdec_h265", "avdec_mjpeg", "avdec_mpeg4", "jpegdec", "openh264dec"}
 _SINK = re.compile(r"\w*sink\b")  # appsink, autovideosink, xvimagesink, fakesink, ...
-_PASSWORD = re.compile(r"(?<=//)[^/@\s]*@")
 
 
 def helper_launch(config: CameraConfig, size_px: tuple[int, int]) -> Launch | None:
@@ -36,13 +36,13 @@ def helper_launch(config: CameraConfig, size_px: tuple[int, int]) -> Launch | No
     asked: dict[str, Any] = {"width": size_px[0], "height": size_px[1], "rate_hz": config.rate_hz}
     asked["utc"] = config.stream_clock == "utc"
     if device.startswith(RTSP):
-        return gstreamer_launch({"kind": "rtsp", "location": device, **asked}, without_password(device))
+        return gstreamer_launch({"kind": "rtsp", "location": device, **asked}, without_secrets(device))
     if device.startswith(LIBCAMERA):
         asked |= {"camera": device.removeprefix(LIBCAMERA), "exposure_us": config.exposure_us}
         return gstreamer_launch({"kind": "libcamera", **asked}, device)
     if device.startswith(URLS):
         pipeline = f"uridecodebin uri={json.dumps(device)}"
-        return gstreamer_launch({"kind": "gst", "pipeline": pipeline, **asked}, without_password(device))
+        return gstreamer_launch({"kind": "gst", "pipeline": pipeline, **asked}, without_secrets(device))
     if device.startswith(GST):
         pipeline = device.removeprefix(GST).strip()
         if not pipeline:
@@ -53,18 +53,13 @@ def helper_launch(config: CameraConfig, size_px: tuple[int, int]) -> Launch | No
                 f"camera.device: the pipeline ends in {end.split()[0]!r}: leave that and the '!' before it out; "
                 "pictures are taken where the pipeline ends"
             )
-        return gstreamer_launch({"kind": "gst", "pipeline": pipeline, **asked}, without_password(device))
+        return gstreamer_launch({"kind": "gst", "pipeline": pipeline, **asked}, without_secrets(device))
     if re.match(r"[a-z]+:", device):
         raise ConfigError(
             f"camera.device = {device!r} is none of /dev/NAME, {LIBCAMERA}ID, rtsp://HOST/PATH, "
             f"{', '.join(URLS)}..., {GST}PIPELINE, {EXEC}COMMAND, replay:FOLDER"
         )
     return None
-
-
-def without_password(text: str) -> str:
-    """For people and logs: no user and no password of a URL."""
-    return _PASSWORD.sub("", text)
 
 
 def gstreamer_launch(spec: dict[str, Any], name: str) -> Launch:

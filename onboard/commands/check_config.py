@@ -13,6 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from contract.camera import Camera
+from contract.errors import ConfigError
+from contract.link_config import SECURE
+from contract.secrets import without_secrets
 from onboard.camera.factory import open_device, second_section
 from onboard.camera.helper_launch import helper_launch, unable
 from onboard.camera.playback import PREFIX
@@ -20,6 +23,7 @@ from onboard.camera.v4l2_device import V4l2Device
 from onboard.config.files import config_files, load_camera, load_config_files, load_second_camera
 from onboard.config.schema import CameraConfig, Config
 from onboard.events.session_clock import SessionClock
+from onboard.service.readable import Reader
 from onboard.telemetry.factory import open_telemetry
 
 DEVICES = ("serial", "nmea")
@@ -40,7 +44,7 @@ class Named:
     text: str
 
     def __str__(self) -> str:
-        return f"{self.key} {self.value}: {'' if self.is_there else 'MISSING: '}{self.text}"
+        return without_secrets(f"{self.key} {self.value}: {'' if self.is_there else 'MISSING: '}{self.text}")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -67,7 +71,27 @@ def look(config: Config) -> list[Named]:
         _camera("camera", config.camera, camera),
         *_second(config),
         _telemetry(config.telemetry.url),
+        *_files(config),
     ]
+
+
+def _files(config: Config) -> list[Named]:
+    """Files that the daemon reads as its own user: whether it may."""
+    link, reader = config.link, Reader.of_the_service()
+    keys = {"link.ca": link.ca, "link.certificate": link.certificate, "link.key": link.key}
+    missing = [key for key, path in keys.items() if path is None]
+    if 0 < len(missing) < len(keys):
+        raise ConfigError(f"TLS needs link.ca, link.certificate and link.key together: {', '.join(missing)} not set")
+    if any(endpoint.startswith(SECURE) for endpoint in (*link.listen, *link.connect)) and missing:
+        raise ConfigError("link.listen or link.connect is encrypted: it needs link.ca, link.certificate and link.key")
+    named = {
+        **keys, "telemetry.signing_key": config.telemetry.signing_key, "camera.mask": config.camera.mask,
+        "terrain.path": config.terrain.path,
+    }  # fmt: skip
+    complaints = [(key, path, reader.complaint(Path(path))) for key, path in named.items() if path is not None]
+    files = [Named(key, path, not why, why or "is there and can be read") for key, path, why in complaints]
+    unreadable = reader.complaint(Path(str(config.camera.file)))
+    return [*files, *([Named("camera.file", str(config.camera.file), False, unreadable)] if unreadable else [])]
 
 
 def _second(config: Config) -> list[Named]:

@@ -27,7 +27,8 @@ from onboard.camera.picture_files import open_frames
 from onboard.camera.picture_mask import read_mask
 from onboard.commands.imported_flight import settings_of, with_settings
 from onboard.config.files import load_config_files, load_second_camera
-from onboard.config.schema import Config, parse_config, to_toml
+from onboard.config.recorded import recorded_toml
+from onboard.config.schema import Config, parse_config
 from onboard.events.sink import Sink
 from onboard.events.types import Event, Frame
 from onboard.link.picture_sender import PictureSender
@@ -119,10 +120,10 @@ def _open_files(arguments: argparse.Namespace) -> _Inputs:
     if missing:
         raise InputError(f"replay needs a recording, or pictures and a log: {' and '.join(missing)} missing")
     config = Config() if arguments.config is None else load_config_files(arguments.config)
-    config_text = "" if arguments.config is None else to_toml(config)
+    config_text = "" if arguments.config is None else recorded_toml(config)
     if arguments.set:
         config = with_settings(config, settings_of(arguments.set))
-        config_text = to_toml(config)
+        config_text = recorded_toml(config)
     camera = Camera.from_json(arguments.camera)
     if arguments.record is not None:
         _check_place(arguments.record)
@@ -146,7 +147,7 @@ def _open_recording(arguments: argparse.Namespace) -> _Inputs:
     recorded = RecordedFlight.open(arguments.recording)
     if arguments.config is not None:
         config = load_config_files(arguments.config)
-        config_text = to_toml(config)
+        config_text = recorded_toml(config)
     else:
         config_text = recorded.config_text
         try:
@@ -157,7 +158,7 @@ def _open_recording(arguments: argparse.Namespace) -> _Inputs:
             ) from error
     if arguments.set:
         config = with_settings(config, settings_of(arguments.set))
-        config_text = to_toml(config)
+        config_text = recorded_toml(config)
     camera = recorded.camera if arguments.camera is None else Camera.from_json(arguments.camera)
     return _Inputs(config, config_text, camera, recorded.state_json, recorded, recorded)
 

@@ -21,7 +21,8 @@ from contract.vehicle_status import encode_status
 from onboard.camera.factory import open_camera, open_second_camera
 from onboard.camera.picture_mask import read_mask
 from onboard.config.files import load_camera, load_config_files, load_second_camera, state_folder
-from onboard.config.schema import Config, to_toml
+from onboard.config.recorded import recorded_toml
+from onboard.config.schema import Config
 from onboard.events.session_clock import SessionClock
 from onboard.events.sink import Sink
 from onboard.events.source import Source
@@ -118,7 +119,7 @@ def open_parts(config: Config, clock: SessionClock | None = None, open_camera: O
         recording = None
         if config.recording.enabled:
             where = Path(config.recording.folder) if config.recording.folder else folder / "recordings"
-            recording = Recorded(where, config, camera, clock, to_toml(config), known, optics)
+            recording = Recorded(where, config, camera, clock, recorded_toml(config), known, optics)
             sinks.append(recording)
             if tracks is not None:
                 tracks.outlets.append(recording.tracks)

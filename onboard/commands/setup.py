@@ -19,6 +19,7 @@ import numpy as np
 from contract.camera import Camera
 from contract.errors import ConfigError, InputError
 from contract.rotations import log_so3, mount_rotation
+from contract.secrets import without_secrets
 from onboard.camera.discovery import device_paths
 from onboard.camera.helper_launch import libcamera_names
 from onboard.camera.known_lenses import GIVEN_SIGMA, Lens, first_camera_file, known_lens, named_lens
@@ -152,7 +153,9 @@ def _with_found_mount(session: Path) -> Config:
 
 def _finish(config_path: Path, written: str, left: list[str], around: Surroundings) -> int:
     """Write the configuration, have the doctor look, print what is left."""
-    _write_config(config_path, "# Made by `pc-onboard setup`.\n" + written, has_password="@" in written)
+    _write_config(
+        config_path, "# Made by `pc-onboard setup`.\n" + written, has_password=without_secrets(written) != written
+    )
     print(f"written: {config_path}\n")
     code = around.check(argparse.Namespace(config=config_path, seconds=DOCTOR_S, json=False, explain=False))
     _print_what_is_left(config_path, left)

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Protocol
 
+from contract.secrets import without_secrets
 from contract.supervised_thread import Stop
 from onboard.events.types import Event
 
@@ -47,6 +48,10 @@ class SourceStatus:
     state: State
     detail: str = ""
     figures: dict[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Addresses, and the last words of a helper that opens them, may hold passwords: nothing passes them on."""
+        object.__setattr__(self, "detail", without_secrets(self.detail))
 
 
 class Source(Protocol):

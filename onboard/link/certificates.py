@@ -6,6 +6,7 @@ served and shown; a person's only shown, so that no one on the ground can act as
 
 from __future__ import annotations
 
+import grp
 import ipaddress
 import os
 import re
@@ -24,6 +25,7 @@ from contract.fleet import NAME
 from contract.link_config import CA_FILE, CERTIFICATE_FILE, KEY_FILE
 
 AUTHORITY = "authority"
+SERVICE_GROUP = "pointclick"  # of systemd/pointclick-onboard.service
 LOOPBACK = ("localhost", "127.0.0.1", "::1")
 # Clocks differ, an aircraft's without a fix most of all.
 BACKDATED = timedelta(days=1)
@@ -85,10 +87,12 @@ class Authority:
         addresses: Sequence[str] = (),
         serves: bool = False,
         now: datetime | None = None,
+        group: int | None = None,
     ) -> None:
         """Write the folder of an aircraft or a person: `ca.pem`, `certificate.pem`, `key.pem`. Raises InputError.
 
-        `name` becomes the common name; `addresses` are where one that `serves` is reached, IP addresses or host names.
+        `name` becomes the common name; `addresses` are where one that `serves` is reached, IP addresses or host names;
+        `group` may read the files, as may their owner.
         """
         if not NAME.fullmatch(name):
             raise InputError(f"name {name!r} must be 1 to 32 letters, digits, '_', '.' or '-'")
@@ -113,7 +117,8 @@ class Authority:
             .add_extension(x509.AuthorityKeyIdentifier.from_issuer_subject_key_identifier(issuer), critical=False)
             .sign(self.key, hashes.SHA256())
         )
-        _write(folder, {CA_FILE: _pem(self.certificate), CERTIFICATE_FILE: _pem(certificate), KEY_FILE: _pem_key(key)})
+        files = {CA_FILE: _pem(self.certificate), CERTIFICATE_FILE: _pem(certificate), KEY_FILE: _pem_key(key)}
+        _write(folder, files, group)
 
 
 def make_credentials(
@@ -148,7 +153,8 @@ def make_credentials(
     for name in everyone:
         serves = name in vehicles or name in routers
         reached = addresses if name in (routers or vehicles) else ()
-        authority.issue(name, folder / name, days=days, addresses=reached, serves=serves)
+        group = service_group() if name in vehicles else None
+        authority.issue(name, folder / name, days=days, addresses=reached, serves=serves, group=group)
     return [folder / name for name in everyone]
 
 
@@ -186,13 +192,27 @@ def _pem_key(key: ec.EllipticCurvePrivateKey) -> bytes:
     )
 
 
-def _write(folder: Path, files: dict[str, bytes]) -> None:
-    """New files that only their owner can read, from the moment they exist."""
+def service_group() -> int | None:
+    """The group of the aircraft's service, if this is its computer and root asks: as it may give files to it."""
+    try:
+        return grp.getgrnam(SERVICE_GROUP).gr_gid if os.geteuid() == 0 else None
+    except KeyError:
+        return None
+
+
+def _write(folder: Path, files: dict[str, bytes], group: int | None = None) -> None:
+    """New files that only their owner, and a group if it is given, can read, from the moment they exist."""
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         for name, content in files.items():
             descriptor = os.open(folder / name, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
             with os.fdopen(descriptor, "wb") as stream:
+                if group is not None:
+                    os.fchown(descriptor, -1, group)
+                    os.fchmod(descriptor, 0o640)
                 stream.write(content)
+        if group is not None:
+            os.chown(folder, -1, group)
+            folder.chmod(0o750)
     except OSError as error:
         raise InputError(f"{error.filename}: {error.strerror}") from error

@@ -6,6 +6,7 @@ Public:
 - `host`: `cpu_temperature_c`, `free_mb`
 - `journal`
 - `prometheus`: `PrometheusServer`
+- `readable`: `Reader`
 - `reports`: `Brightness`, `Report`, `gps_report`
 - `sd_notify`: `Notifier`
 - `second_camera`: `SecondCameraThread`

@@ -8,10 +8,19 @@ import sys
 from collections.abc import Mapping
 from typing import TextIO
 
+from contract.secrets import without_secrets
+
 _PRIORITIES = ((logging.CRITICAL, 2), (logging.ERROR, 3), (logging.WARNING, 4), (logging.INFO, 6), (0, 7))
 
 
-class _JournalFormatter(logging.Formatter):
+class _Formatter(logging.Formatter):
+    """Without secrets, also in the traceback of an error that was not foreseen."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        return without_secrets(super().format(record))
+
+
+class _JournalFormatter(_Formatter):
     """journald makes an entry of each line, so each line of a traceback bears the priority."""
 
     def format(self, record: logging.LogRecord) -> str:
@@ -35,7 +44,7 @@ def set_up(stream: TextIO = sys.stdout, environment: Mapping[str, str] = os.envi
     if is_journal(stream, environment):
         handler.setFormatter(_JournalFormatter("%(message)s"))
     else:
-        handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)-7s %(message)s"))
+        handler.setFormatter(_Formatter("%(asctime)s %(levelname)-7s %(message)s"))
     root = logging.getLogger()
     root.handlers[:] = [handler]
     root.setLevel(logging.WARNING)

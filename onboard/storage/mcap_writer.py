@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from contract import recording_format as names
 from contract.errors import InputError
 from contract.feature_set import FeatureSet
+from contract.secrets import new_recording
 from contract.topics import FEATURES, SPOTS, STATUS, TRACKS
 from contract.wire.codec import encode
 from onboard.events.types import Event, Frame, PositionFix
@@ -244,7 +245,7 @@ class SessionRecorder:
     def _open(self) -> Writer:
         if self._writer is None:
             try:
-                self._stream = self.path.open("wb")
+                self._stream = new_recording(self.path, is_new=False)
                 # Chunks would keep the last megabyte in memory, and without them there is nothing to compress.
                 self._writer = Writer(self._stream, use_chunking=False, compression=CompressionType.NONE)
                 self._writer.start(profile="", library="pointclick")

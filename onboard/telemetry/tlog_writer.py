@@ -9,6 +9,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import BinaryIO
 
+from contract.secrets import new_recording
+
 FLUSH_NS = 1_000_000_000
 SPACE_NS = 10_000_000_000
 
@@ -59,7 +61,7 @@ class TlogWriter:
         while True:
             self.path = self._folder / (f"{name}.tlog" if not number else f"{name}-{number}.tlog")
             try:
-                self._stream = self.path.open("xb")
+                self._stream = new_recording(self.path)
             except FileExistsError:
                 number += 1
                 continue

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from contract.errors import InputError
+from contract.secrets import without_secrets
 from ground.__main__ import main
 from ground.pins.store import PinStore
 from ground.web import command, video_reader
@@ -18,7 +19,7 @@ from ground.web.context import ServerContext
 from ground.web.recorded import RecordedSource
 from ground.web.video_delay import DelayEstimate, best_time_s, is_seen
 from ground.web.video_file import FileFootage
-from ground.web.video_frames import Ring, VideoFrame, corner_strength, open_video, without_login
+from ground.web.video_frames import Ring, VideoFrame, corner_strength, open_video
 from ground.web.video_live import LiveFootage
 from ground.web.video_reader import FrameClock, VideoReader
 from ground.web.with_video import WithVideo
@@ -312,7 +313,7 @@ def test_features_that_the_pipeline_tracked_are_seen_in_their_own_picture_and_in
 
 
 def test_a_login_is_not_shown() -> None:
-    assert without_login("rtsp://anna:secret@10.0.0.9/live") == "rtsp://10.0.0.9/live"
+    assert without_secrets("rtsp://anna:secret@10.0.0.9/live") == "rtsp://10.0.0.9/live"
 
 
 def one_line(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:

@@ -22,6 +22,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from contract.errors import ConfigError
+from contract.secrets import without_secrets
 from onboard.camera import helper_launch as launching
 from onboard.camera.frame_protocol import FrameReader, Header, Origin
 from onboard.camera.gstreamer_helper import (
@@ -41,7 +42,6 @@ from onboard.camera.helper_launch import (
     helper_launch,
     libcamera_names,
     unable,
-    without_password,
 )  # fmt: skip
 from onboard.config.schema import CameraConfig
 from onboard.events.session_clock import SessionClock
@@ -488,6 +488,6 @@ def test_a_kind_of_stamp_is_used_once_it_comes_with_every_picture() -> None:
 
 
 def test_no_password_is_shown() -> None:
-    assert without_password("rtsp://a:b@cam/live") == "rtsp://cam/live"
-    shown = without_password("gst:rtspsrc location=rtsp://anna:secret@10.0.0.2:554/live ! rtph264depay")
+    assert without_secrets("rtsp://a:b@cam/live") == "rtsp://cam/live"
+    shown = without_secrets("gst:rtspsrc location=rtsp://anna:secret@10.0.0.2:554/live ! rtph264depay")
     assert shown == "gst:rtspsrc location=rtsp://10.0.0.2:554/live ! rtph264depay"

@@ -127,3 +127,44 @@ def test_what_no_waiting_mends_is_the_configurations_fault(
     out, complaint = capsys.readouterr()
     assert (out, complaint.count("\n")) == ("", 1)
     assert "telemetry.url" in complaint
+
+
+def test_keys_of_the_link_that_are_missing_or_closed_to_the_service_are_reported(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A key that the daemon then could not read was `good`."""
+    monkeypatch.setattr(check_config.Reader, "of_the_service", lambda: check_config.Reader("", 0, frozenset()))
+    keys = {name: tmp_path / f"{name}.pem" for name in ("ca", "certificate", "key")}
+    for name in ("ca", "certificate"):
+        keys[name].write_text("x")
+    file = written(tmp_path, "/dev/video77", "udpin:127.0.0.1:14550")
+    plain = file.read_text()
+    stated = "".join(f'{name} = "{path}"\n' for name, path in keys.items())
+    file.write_text(f'{plain}[link]\nlisten = ["tls/0.0.0.0:7447"]\n{stated}')
+    code, lines = checked(file, capsys)
+    assert code == 1 and f"link.key {keys['key']}: MISSING: No such file or directory" in lines
+    assert f"link.ca {keys['ca']}: is there and can be read" in lines
+    keys["key"].write_text("x")
+    keys["key"].chmod(0o600)
+    other = check_config.Reader("pointclick", os.geteuid() + 4000, frozenset())
+    monkeypatch.setattr(check_config.Reader, "of_the_service", lambda: other)
+    code, lines = checked(file, capsys)
+    (line,) = [line for line in lines if line.startswith("link.key")]
+    assert code == 1 and "MISSING: the service's user pointclick may not" in line and "chgrp pointclick" in line
+
+
+@pytest.mark.parametrize("link", ['listen = ["tls/0.0.0.0:7447"]', 'ca = "ca.pem"\ncertificate = "certificate.pem"'])
+def test_encryption_without_all_three_files_is_the_configurations_fault(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], link: str
+) -> None:
+    file = written(tmp_path, "/dev/video77", "udpin:127.0.0.1:14550")
+    file.write_text(f"{file.read_text()}[link]\n{link}\n")
+    assert main(["check-config", "--fly", "--config", str(file)]) == 2
+    assert "link.ca, link.certificate and link.key" in capsys.readouterr().err
+
+
+def test_a_password_is_not_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for device in ("rtsp://anna:hunter2@cam/live", "rtsp:/anna:hunter2@cam/live", "gst:x user-pw=hunter2 ! y"):
+        main(["check-config", "--fly", "--config", str(written(tmp_path, device, "udpin:127.0.0.1:14550"))])
+        printed = "".join(capsys.readouterr())
+        assert "hunter2" not in printed

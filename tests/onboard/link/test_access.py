@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import stat
 import time
 from collections.abc import Callable, Iterator
@@ -23,7 +24,7 @@ from contract.wire.codec import encode
 from ground.__main__ import main as ground_main
 from ground.client import SetCache, ask
 from onboard.__main__ import main
-from onboard.link.certificates import Authority, make_credentials
+from onboard.link.certificates import Authority, make_credentials, service_group
 from onboard.link.publisher import Publisher, Rate
 from tests.onboard.link.asking import asked, nobody_answers
 from tests.onboard.link.ports import free_endpoint
@@ -222,6 +223,18 @@ def test_a_plain_endpoint_next_to_certificates_is_refused(credentials: Path) -> 
         ask("tcp/127.0.0.1:7447", tls=tls)
 
 
+def test_the_service_s_group_reads_an_aircraft_s_files_and_no_one_else_s(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Made by root on the aircraft, the service could not read its own key."""
+    monkeypatch.setattr("onboard.link.certificates.service_group", os.getegid)
+    make_credentials(tmp_path / "keys", ["uav-1"], ["anna"], [], 30.0)
+    modes = {p.relative_to(tmp_path / "keys"): stat.S_IMODE(p.stat().st_mode) for p in (tmp_path / "keys").rglob("*")}
+    for path, mode in modes.items():
+        is_shared = path.parts[0] == "uav-1"
+        assert mode == ((0o640 if is_shared else 0o600) if path.suffix else (0o750 if is_shared else 0o700)), path
+
+
 def test_a_file_that_is_missing_is_named(tmp_path: Path) -> None:
     with pytest.raises(LinkError, match=r"ca\.pem: No such file"):
         Tls.in_folder(tmp_path)
@@ -236,8 +249,9 @@ def test_the_command_issues_what_a_click_over_the_encrypted_link_needs(
     folder = tmp_path / "keys"
     assert main(["make-credentials", str(folder), "--vehicle", "uav-1", "--operator", "anna", "--viewer", "ben"]) == 0
     assert str(folder / "uav-1") in capsys.readouterr().out
-    for file in folder.rglob("*.pem"):
-        assert stat.S_IMODE(file.stat().st_mode) == 0o600
+    for file in folder.rglob("*.pem"):  # where there is a service of ours, its group reads the aircraft's
+        is_shared = service_group() is not None and file.parent.name == "uav-1"
+        assert stat.S_IMODE(file.stat().st_mode) == (0o640 if is_shared else 0o600)
     assert sorted(p.name for p in (folder / "anna").iterdir()) == ["ca.pem", "certificate.pem", "key.pem"]
     assert main(["make-credentials", str(folder), "--viewer", "cleo"]) == 0  # the same authority, later
     endpoint = free_endpoint().replace("tcp/", "tls/")

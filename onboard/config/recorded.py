@@ -1,0 +1,21 @@
+"""A configuration for others than its owner: recordings are passed on, and replayed without the addresses in them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from contract.secrets import without_secrets
+from onboard.config.schema import Config, to_toml
+
+
+def recorded_toml(config: Config) -> str:
+    """As `to_toml`, without secrets."""
+    return to_toml(Config.model_validate(_without_secrets(config.model_dump())))
+
+
+def _without_secrets(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_secrets(part) for key, part in value.items()}
+    if isinstance(value, tuple):
+        return tuple(_without_secrets(part) for part in value)
+    return without_secrets(value) if isinstance(value, str) else value
