@@ -63,7 +63,7 @@ export function wireAdding(state: State, done: (words: string) => void): void {
     result.textContent = `reading ${file.name} ...`;
     api.importFile(file, state.options.who).then((reply) => {
       dialog.close();
-      const rest = [...(reply.known > 0 ? [`${reply.known} were here already`] : []), ...(reply.left_out > 0 ? [`${reply.left_out} things are no points`] : [])];
+      const rest = [...(reply.known > 0 ? [`${reply.known} were here already`] : []), ...(reply.left_out > 0 ? [`${reply.left_out} things are no points`] : []), ...reply.bad.map((line) => `not read: ${line}`)];
       done(`${reply.imported} pins from ${file.name}${rest.length > 0 ? `; ${rest.join(", ")}` : ""}`);
     }, failed).finally(() => { input.value = ""; });
   });

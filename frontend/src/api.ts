@@ -57,7 +57,7 @@ export const api = {
   place: (body: ClickBody) => asked<PlaceReply>("/api/place", "POST", body),
   coordinate: (text: string) => asked<CoordinateReply>(`/api/coordinate?text=${part(text)}`),
   importFile: (file: File, who: string) =>
-    asked<{ imported: number; known: number; left_out: number }>(`/api/import?name=${part(file.name)}&who=${part(who)}`, "POST", file),
+    asked<{ imported: number; known: number; left_out: number; bad: string[] }>(`/api/import?name=${part(file.name)}&who=${part(who)}`, "POST", file),
   removeClick: (id: string, click: string, who: string) =>
     asked<Pin>(`/api/pins/${part(id)}/clicks/${part(click)}?who=${part(who)}`, "DELETE"),
   editPin: (id: string, body: { name?: string; note?: string; category?: string; who: string }) =>

@@ -48,6 +48,7 @@ examples:
   pc-ground pins share --listen tcp/0.0.0.0:7448                        the other servers then connect to this one
   pc-ground pins share --connect tcp/10.0.0.5:7448
 """
+MOST_LISTED = 20  # of what a file has and cannot be read
 REPORT_S = 5.0  # between two lines of how sharing goes
 
 
@@ -247,7 +248,12 @@ def _import(store: PinStore, args: argparse.Namespace) -> int:
     known = len(found.pins) - taken
     notes = [f"{known} were here already"] if known else []
     notes += [f"{found.left_out} things that are no points were left out"] if found.left_out else []
+    notes += [f"{len(found.bad)} could not be read"] if found.bad else []
     print(f"{taken} pins imported{''.join(f'; {note}' for note in notes)}")
+    for line in found.bad[:MOST_LISTED]:
+        print(f"not read: {one_line(line)}", file=sys.stderr)
+    if len(found.bad) > MOST_LISTED:
+        print(f"not read: {len(found.bad) - MOST_LISTED} more", file=sys.stderr)
     return ANSWERED
 
 

@@ -11,6 +11,7 @@ import math
 import re
 import xml.etree.ElementTree as ET
 from datetime import UTC, datetime, timedelta
+from functools import partial
 
 import numpy as np
 
@@ -120,11 +121,8 @@ def read(data: bytes, who: str = "", now_unix_ns: int = 0) -> Imported:
         if _MARKER.match(found.get("type", "")) is None:
             out.left_out += 1
             continue
-        try:
-            out.pins.append(_pin(found, who, now_unix_ns))
-        except (ValueError, InputError) as error:
-            raise InputError(f"event {found.get('uid', '')[:40]!r}: {error}") from error
-    return out
+        out.take(f"event {found.get('uid', '')[:40]!r}", partial(_pin, found, who, now_unix_ns))
+    return out.checked()
 
 
 def _pin(found: ET.Element, who: str, now_unix_ns: int) -> Pin:

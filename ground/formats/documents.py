@@ -130,7 +130,7 @@ _READERS: dict[str, Callable[[bytes, str, int], Imported]] = {
 IMPORTED = tuple(_READERS)
 _KINDS = {
     ".geojson": "geojson", ".json": "geojson", ".kml": "kml", ".gpx": "gpx", ".csv": "csv", ".tsv": "csv",
-    ".cot": "cot", ".xml": "cot",
+    ".cot": "cot", ".xml": "cot", ".kmz": "kml",
 }  # fmt: skip
 
 

@@ -11,6 +11,7 @@ import binascii
 import json
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 from contract.errors import InputError
@@ -22,6 +23,7 @@ from ground.pins.model import Pin
 
 WHOLE = "pointclick"  # the member with the pin itself
 MAX_FEATURES = 100_000
+WGS84 = ("CRS84", "CRS84H", "EPSG::4326", "EPSG:4326", "EPSG::4979", "EPSG:4979")  # how its names end
 
 
 def write(marks: Sequence[Mark], grid: Grid | None = None, crop_of: Callable[[str], bytes | None] | None = None) -> str:
@@ -103,20 +105,38 @@ def read(data: bytes, who: str = "", now_unix_ns: int = 0) -> Imported:
         raise InputError("not GeoJSON: a FeatureCollection or a Feature is needed")
     if len(features) > MAX_FEATURES:
         raise InputError(f"{len(features)} features; at most {MAX_FEATURES} are read")
+    _check_crs(content)
     out = Imported()
     for index, feature in enumerate(features):
-        if not isinstance(feature, dict):
-            raise InputError(f"feature {index}: not an object")
-        try:
-            whole = feature.get(WHOLE)
-            if isinstance(whole, dict):
-                out.pins.append(Pin.from_dict(whole.get("pin")))
-                out.crops |= _crops_read(whole.get("crops"))
-            else:
-                _take_point(out, feature, who, now_unix_ns)
-        except InputError as error:
-            raise InputError(f"feature {index}: {error}") from error
-    return out
+        whole = feature.get(WHOLE) if isinstance(feature, dict) else None
+        if isinstance(whole, dict):
+            out.take(f"feature {index}", partial(_whole, out, whole))
+        elif isinstance(feature, dict) and not _is_point(feature.get("geometry")):
+            out.left_out += 1
+        else:
+            out.take(f"feature {index}", partial(_pin, feature, who, now_unix_ns))
+    return out.checked()
+
+
+def _check_crs(content: dict[str, Any]) -> None:
+    """Raise InputError for coordinates of another system, which older GeoJSON and GIS programs name in `crs`."""
+    crs = content.get("crs")
+    if crs is None:
+        return
+    about = crs.get("properties") if isinstance(crs, dict) else None
+    name = str(about.get("name") if isinstance(about, dict) else crs)
+    if not name.upper().endswith(WGS84):
+        raise InputError(f"its coordinates are of {name[:80]}, and WGS84 is needed: export it as EPSG:4326")
+
+
+def _whole(out: Imported, whole: dict[str, Any]) -> Pin:
+    pin, crops = Pin.from_dict(whole.get("pin")), _crops_read(whole.get("crops"))
+    out.crops |= crops
+    return pin
+
+
+def _is_point(geometry: object) -> bool:
+    return isinstance(geometry, dict) and geometry.get("type") == "Point"
 
 
 def _crops_read(content: object) -> dict[str, bytes]:
@@ -128,33 +148,28 @@ def _crops_read(content: object) -> dict[str, bytes]:
         raise InputError(f"a crop is not base64 ({error})") from error
 
 
-def _take_point(out: Imported, feature: dict[str, Any], who: str, now_unix_ns: int) -> None:
-    geometry = feature.get("geometry")
-    if not isinstance(geometry, dict) or geometry.get("type") != "Point":
-        out.left_out += 1
-        return
-    coordinates = geometry.get("coordinates")
+def _pin(feature: object, who: str, now_unix_ns: int) -> Pin:
+    """A point's as an entered position. Raises InputError for no place, OverflowError for a number beyond any."""
+    if not isinstance(feature, dict):
+        raise InputError("not an object")
+    coordinates = feature["geometry"].get("coordinates")
     numbers = coordinates if isinstance(coordinates, list) and 2 <= len(coordinates) <= 4 else []
     if not numbers or not all(isinstance(c, int | float) and not isinstance(c, bool) for c in numbers):
         raise InputError("coordinates are longitude, latitude and perhaps height")
     given = feature.get("properties")
     about: dict[str, Any] = given if isinstance(given, dict) else {}
     ce90, le90 = _positive(about.get("ce90_m")), _positive(about.get("le90_m"))
-    out.pins.append(
-        entered_pin(
-            lat_deg=float(numbers[1]),
-            lon_deg=float(numbers[0]),
-            height_ellipsoid_m=float(numbers[2]) if len(numbers) > 2 else None,
-            sigma_m=None if ce90 is None else ce90 / CE90_SIGMAS,
-            sigma_height_m=None if le90 is None else le90 / LE90_SIGMAS,
-            name=about.get("name") or about.get("title"),
-            note=about.get("note") or about.get("description"),
-            category=about.get("category"),
-            who=who,
-            time_text=about.get("time"),
-            now_unix_ns=now_unix_ns,
-        )
-    )
+    if any(abs(c) > 360.0 for c in numbers[:2]):
+        raise InputError("metres rather than degrees: its coordinates are of another system than WGS84 (EPSG:4326)")
+    # A height of exactly 0 is what CalTopo and others write for one that they do not know.
+    return entered_pin(
+        lat_deg=float(numbers[1]), lon_deg=float(numbers[0]),
+        height_ellipsoid_m=float(numbers[2]) if len(numbers) > 2 and numbers[2] != 0 else None,
+        sigma_m=None if ce90 is None else ce90 / CE90_SIGMAS,
+        sigma_height_m=None if le90 is None else le90 / LE90_SIGMAS,
+        name=about.get("name") or about.get("title"), note=about.get("note") or about.get("description"),
+        category=about.get("category"), who=who, time_text=about.get("time"), now_unix_ns=now_unix_ns,
+    )  # fmt: skip
 
 
 def _positive(value: object) -> float | None:

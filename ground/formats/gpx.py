@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
+from functools import partial
 
 from contract.errors import InputError
 from ground.circular_error import CE90_SIGMAS, LE90_SIGMAS
@@ -14,6 +15,7 @@ from ground.formats.coordinates import Grid, figure, shape_values
 from ground.formats.imported import Imported, entered_pin
 from ground.formats.mark import Mark
 from ground.formats.xml_text import document, element, parsed
+from ground.pins.model import Pin
 
 NAMESPACE = "http://www.topografix.com/GPX/1/1"
 OURS = "https://pointclick.invalid/gpx/1"
@@ -67,23 +69,20 @@ def read(data: bytes, who: str = "", now_unix_ns: int = 0) -> Imported:
         if point.tag != "wpt":
             out.left_out += point.tag in ("rte", "trk")
             continue
-        ours = {n.tag: n.text or "" for m in point.findall("extensions") for n in m}
-        try:
-            lat, lon = float(point.get("lat", "")), float(point.get("lon", ""))
-            text = point.findtext("ele", "")
-            height = float(text) if text else None
-            ce90, le90 = (float(ours[key]) if ours.get(key) else None for key in ("ce90_m", "le90_m"))
-        except ValueError as error:
-            raise InputError(f"GPX: waypoint {point.findtext('name', '')[:40]!r}: {error}") from error
-        out.pins.append(
-            entered_pin(
-                lat_deg=lat, lon_deg=lon, height_amsl_m=height,
-                sigma_m=None if ce90 is None else ce90 / CE90_SIGMAS,
-                sigma_height_m=None if le90 is None else le90 / LE90_SIGMAS,
-                name=ours.get("name", "" if ours else point.findtext("name", "")),
-                note=ours.get("note", "" if ours else point.findtext("desc", "")),
-                category=point.findtext("type", ""), who=who, time_text=point.findtext("time", ""),
-                now_unix_ns=now_unix_ns,
-            )
-        )  # fmt: skip
-    return out
+        out.take(f"waypoint {point.findtext('name', '')[:40]!r}", partial(_pin, point, who, now_unix_ns))
+    return out.checked()
+
+
+def _pin(point: ET.Element, who: str, now_unix_ns: int) -> Pin:
+    """A waypoint's. Raises ValueError for what is no number, InputError for no place."""
+    ours = {n.tag: n.text or "" for m in point.findall("extensions") for n in m}
+    text = point.findtext("ele", "")  # 0: not known, as CalTopo and others write
+    ce90, le90 = (float(ours[key]) if ours.get(key) else None for key in ("ce90_m", "le90_m"))
+    return entered_pin(
+        lat_deg=float(point.get("lat", "")), lon_deg=float(point.get("lon", "")),
+        height_amsl_m=(float(text) if text else None) or None, sigma_m=None if ce90 is None else ce90 / CE90_SIGMAS,
+        sigma_height_m=None if le90 is None else le90 / LE90_SIGMAS,
+        name=ours.get("name", "" if ours else point.findtext("name", "")),
+        note=ours.get("note", "" if ours else point.findtext("desc", "")),
+        category=point.findtext("type", ""), who=who, time_text=point.findtext("time", ""), now_unix_ns=now_unix_ns,
+    )  # fmt: skip

@@ -3,19 +3,40 @@
 from __future__ import annotations
 
 import uuid
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 
+from contract.errors import InputError
 from ground.pins.model import MAX_NAME, MAX_NOTE, Category, Pin, PinClick
+
+MAX_REASON = 200  # characters
 
 
 @dataclass(eq=False)
 class Imported:
-    """Pins of a file, the crops of their clicks, and how many of its things are no points."""
+    """Pins of a file, the crops of their clicks, how many of its things are no points, and a line for each that should
+    be one and cannot be read: the others are taken.
+    """
 
     pins: list[Pin] = field(default_factory=list)
     crops: dict[str, bytes] = field(default_factory=dict)
     left_out: int = 0
+    bad: list[str] = field(default_factory=list)
+
+    def take(self, what: str, make: Callable[[], Pin]) -> None:
+        """Append a pin, or note why it is none; `what` names the thing in the file."""
+        try:
+            self.pins.append(make())
+        except (InputError, ValueError, OverflowError, IndexError) as error:
+            self.bad.append(f"{what}: {' '.join(str(error).split())[:MAX_REASON]}")
+
+    def checked(self) -> Imported:
+        """Itself. Raises InputError if everything in the file that should be a point is bad."""
+        if self.bad and not self.pins:
+            more = f" (and {len(self.bad) - 1} more)" if len(self.bad) > 1 else ""
+            raise InputError(f"{self.bad[0]}{more}")
+        return self
 
 
 def entered_pin(

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import math
 import xml.etree.ElementTree as ET
+import zipfile
+import zlib
 from collections.abc import Sequence
+from functools import partial
 
 from contract.errors import InputError
 from contract.geodesy import LocalFrame
@@ -12,7 +16,8 @@ from ground.circular_error import CE90_SIGMAS, LE90_SIGMAS
 from ground.formats.coordinates import Grid, figure, shape_values
 from ground.formats.imported import Imported, entered_pin
 from ground.formats.mark import Mark
-from ground.formats.xml_text import document, element, parsed
+from ground.formats.xml_text import MAX_BYTES, document, element, parsed
+from ground.pins.model import Pin
 
 NAMESPACE = "http://www.opengis.net/kml/2.2"
 # aabbggrr, as in KML; a letter next to the colour is in the name of the style.
@@ -105,10 +110,8 @@ def outline(mark: Mark) -> list[tuple[float, float]]:
 
 
 def read(data: bytes, who: str = "", now_unix_ns: int = 0) -> Imported:
-    """Placemarks with a point. Raises InputError for what is no KML (KMZ is: unpack it)."""
-    if data[:2] == b"PK":
-        raise InputError("a KMZ archive: unpack it, and import the doc.kml in it")
-    root = parsed(data, "KML")
+    """Placemarks with a point, of KML or KMZ. Raises InputError for what is neither."""
+    root = parsed(_unpacked(data) if data[:2] == b"PK" else data, "KML")
     if root.tag != "kml":
         raise InputError(f"not KML: its root is {root.tag[:40]!r}")
     out = Imported()
@@ -120,27 +123,45 @@ def read(data: bytes, who: str = "", now_unix_ns: int = 0) -> Imported:
         if point is None:
             out.left_out += 1
             continue
-        about = _extended(place)
-        numbers = point.findtext("coordinates", "").strip().split(",")
-        try:
-            lon, lat = float(numbers[0]), float(numbers[1])
-            has_height = len(numbers) > 2 and point.findtext("altitudeMode", "") == "absolute"
-            height = float(numbers[2]) if has_height else None
-            ce90, le90 = (float(about[key]) if about.get(key) else None for key in ("ce90_m", "le90_m"))
-        except (ValueError, IndexError) as error:
-            raise InputError(f"KML: placemark {place.findtext('name', '')[:40]!r}: {error}") from error
-        moment = place.findtext("TimeStamp/when", "")
-        out.pins.append(
-            entered_pin(
-                lat_deg=lat, lon_deg=lon, height_amsl_m=height,
-                sigma_m=None if ce90 is None else ce90 / CE90_SIGMAS,
-                sigma_height_m=None if le90 is None else le90 / LE90_SIGMAS,
-                name=about.get("pin_name", place.findtext("name", "")),
-                note=about.get("note", "" if about else place.findtext("description", "")),
-                category=about.get("category"), who=who, time_text=moment, now_unix_ns=now_unix_ns,
-            )
-        )  # fmt: skip
-    return out
+        name = place.findtext("name", "")[:40]
+        out.take(f"placemark {name!r}", partial(_pin, place, point, who, now_unix_ns))
+    return out.checked()
+
+
+def _pin(place: ET.Element, point: ET.Element, who: str, now_unix_ns: int) -> Pin:
+    """A placemark's. Raises ValueError for what is no number, InputError for no place."""
+    about = _extended(place)
+    numbers = point.findtext("coordinates", "").strip().split(",")
+    if len(numbers) < 2:
+        raise InputError("no coordinates (longitude, latitude) in its point")
+    has_height = len(numbers) > 2 and point.findtext("altitudeMode", "") == "absolute"
+    height_m = (float(numbers[2]) if has_height else None) or None  # 0: not known, as CalTopo and others write
+    ce90, le90 = (float(about[key]) if about.get(key) else None for key in ("ce90_m", "le90_m"))
+    return entered_pin(
+        lat_deg=float(numbers[1]), lon_deg=float(numbers[0]), height_amsl_m=height_m,
+        sigma_m=None if ce90 is None else ce90 / CE90_SIGMAS,
+        sigma_height_m=None if le90 is None else le90 / LE90_SIGMAS,
+        name=about.get("pin_name", place.findtext("name", "")),
+        note=about.get("note", "" if about else place.findtext("description", "")),
+        category=about.get("category"), who=who, time_text=place.findtext("TimeStamp/when", ""),
+        now_unix_ns=now_unix_ns,
+    )  # fmt: skip
+
+
+def _unpacked(data: bytes) -> bytes:
+    """The document of a KMZ: doc.kml, or the first .kml in it. Raises InputError."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            names = [name for name in archive.namelist() if name.lower().endswith(".kml")]
+            if not names:
+                raise InputError("not KMZ: no .kml in the archive")
+            with archive.open("doc.kml" if "doc.kml" in names else names[0]) as stream:
+                content = stream.read(MAX_BYTES + 1)
+    except (zipfile.BadZipFile, NotImplementedError, RuntimeError, OSError, EOFError, ValueError, zlib.error) as error:
+        raise InputError(f"not KMZ ({error})") from error
+    if len(content) > MAX_BYTES:
+        raise InputError(f"KMZ: its document is larger than {MAX_BYTES // 1_000_000} MB")
+    return content
 
 
 def _point(place: ET.Element) -> ET.Element | None:

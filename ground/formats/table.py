@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Sequence
+from functools import partial
 
 from contract.errors import InputError
 from ground.circular_error import CE90_SIGMAS, LE90_SIGMAS
@@ -96,13 +97,10 @@ def read(data: bytes, who: str = "", now_unix_ns: int = 0) -> Imported:
             if not got.get("lat_deg", "").strip():
                 out.left_out += any(cell.strip() for cell in cells)
                 continue
-            try:
-                out.pins.append(_pin(got, delimiter != ",", who, now_unix_ns))
-            except InputError as error:
-                raise InputError(f"CSV, line {rows.line_num}: {error}") from error
+            out.take(f"CSV, line {rows.line_num}", partial(_pin, got, delimiter != ",", who, now_unix_ns))
     except (csv.Error, UnicodeDecodeError) as error:
         raise InputError(f"not a CSV file ({error})") from error
-    return out
+    return out.checked()
 
 
 def _decoded(data: bytes) -> str:

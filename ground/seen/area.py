@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from pathlib import Path
 from typing import Any
 
@@ -78,5 +77,4 @@ def _ring(content: object) -> Array:
 
 
 def _is_degrees(value: object, most: float) -> bool:
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    return is_number and math.isfinite(float(value)) and abs(float(value)) <= most  # type: ignore[arg-type]
+    return isinstance(value, int | float) and not isinstance(value, bool) and -most <= value <= most

@@ -14,6 +14,8 @@ from ground.formats.rounded import rounded_text
 from ground.pins.model import MAX_WHO
 from ground.web.context import ServerContext
 
+MOST_LISTED = 20  # of what a file has and cannot be read
+
 
 def import_router(context: ServerContext) -> APIRouter:
     """Routes below /api."""
@@ -29,24 +31,29 @@ def import_router(context: ServerContext) -> APIRouter:
             "texts": {name: _text(name, found.lat_deg, found.lon_deg) for name in ("degrees", "mgrs")},
         }
 
-    @router.post("/import", summary="Pins of a file, which is the body: GeoJSON, KML, GPX, CSV or CoT, by its name")
+    @router.post("/import", summary="Pins of a file (the body): GeoJSON, KML, KMZ, GPX, CSV or CoT, by its name")
     async def bring_in(
         request: Request,
         name: Annotated[str, Query(min_length=1, max_length=300)],
         who: Annotated[str, Query(max_length=MAX_WHO)] = "",
-    ) -> dict[str, int]:
+    ) -> dict[str, Any]:
         data = await request.body()
         return await run_in_threadpool(_import, context, name, data, who)
 
     return router
 
 
-def _import(context: ServerContext, name: str, data: bytes, who: str) -> dict[str, int]:
+def _import(context: ServerContext, name: str, data: bytes, who: str) -> dict[str, Any]:
     found = read_pins_of(name, data, who=who)
     count = context.store.bring_in(found.pins, who=who, crops=found.crops)
     if count:
         context.changed()
-    return {"imported": count, "known": len(found.pins) - count, "left_out": found.left_out}
+    return {
+        "imported": count,
+        "known": len(found.pins) - count,
+        "left_out": found.left_out,
+        "bad": found.bad[:MOST_LISTED],
+    }
 
 
 def _text(form: str, lat_deg: float, lon_deg: float) -> str:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import io
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -123,3 +125,92 @@ def test_a_document_leaves_the_collector_of_garbage_as_it_was() -> None:
         assert not gc.isenabled()
     finally:
         gc.enable()
+
+
+KMZ_TEXT = (
+    '<kml xmlns="http://www.opengis.net/kml/2.2"><Document>{}<Placemark><name>B</name><Point><coordinates>8.6,47.3'
+    "</coordinates></Point></Placemark></Document></kml>"
+)
+BAD_PLACE = "<Placemark><name>bad</name><Point><coordinates>{}</coordinates></Point></Placemark>"
+
+
+def kmz(text: str, name: str = "doc.kml") -> bytes:
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("files/a.png", b"x")
+        archive.writestr(name, text)
+    return out.getvalue()
+
+
+def of_features(*coordinates: str) -> bytes:
+    features = ",".join(
+        f'{{"type":"Feature","geometry":{{"type":"Point","coordinates":{c}}},"properties":{{"title":"B"}}}}'
+        for c in coordinates
+    )
+    return f'{{"type":"FeatureCollection","features":[{features}]}}'.encode()
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "bad"),
+    [
+        ("a.kml", KMZ_TEXT.format(BAD_PLACE.format("")).encode(), "placemark 'bad': no coordinates"),
+        ("a.kml", KMZ_TEXT.format(BAD_PLACE.format("8.5")).encode(), "placemark 'bad': no coordinates"),
+        ("a.kml", KMZ_TEXT.format(BAD_PLACE.format("x,y")).encode(), "placemark 'bad'"),
+        ("a.kml", KMZ_TEXT.format(BAD_PLACE.format("8,1e999")).encode(), "placemark 'bad'"),
+        ("a.kmz", kmz(KMZ_TEXT.format(BAD_PLACE.format(""))), "placemark 'bad': no coordinates"),
+        ("a.gpx", b'<gpx><wpt lat="nan" lon="8"><name>bad</name></wpt><wpt lat="47.3" lon="8.6"><name>B</name></wpt>'
+         b"</gpx>", "waypoint 'bad'"),
+        ("a.geojson", of_features("[8.6,47.3]", f"[{10**400},47]"), "feature 1: metres"),
+        ("a.geojson", of_features("[8.6,47.3]", f"[8,47,{10**400}]"), "feature 1"),
+        ("a.geojson", of_features("[8.6,47.3]", "[1e999,47]"), "feature 1"),
+        ("a.geojson", of_features("[8.6,47.3]", "[true,null]"), "feature 1: coordinates are longitude"),
+        ("a.csv", b"name,lat,lon\nB,47.3,8.6\nbad,x,y\n", "CSV, line 3"),
+        ("a.cot", (TAK.replace("-43.38", "47.3").replace("172.40", "8.6").replace("U.2.030405", "B")
+         + TAK.replace("-43.38", "91").replace("a1", "bad")).encode(), "event 'bad'"),
+    ],
+)  # fmt: skip
+def test_one_bad_place_is_listed_and_the_others_are_taken(name: str, data: bytes, bad: str) -> None:
+    found = read_pins_of(name, data)
+    assert places(found) == [("B", 47.3, 8.6)]
+    (line,) = found.bad
+    assert line.startswith(bad) and len(line) < 300
+
+
+def test_a_kmz_is_its_document_and_another_archive_is_a_line() -> None:
+    for name in ("doc.kml", "other/Places.KML"):
+        assert places(read_pins_of("a.kmz", kmz(KMZ_TEXT.format(""), name))) == [("B", 47.3, 8.6)]
+    for data in (kmz("x", "a.txt"), kmz(KMZ_TEXT.format(""))[:-30], b"PK", b"PK\x03\x04" + bytes(100)):
+        with pytest.raises(InputError, match=r"a\.kmz: .*not KMZ"):
+            read_pins_of("a.kmz", data)
+
+
+def test_a_height_of_exactly_zero_is_not_known() -> None:
+    """CalTopo writes 0 for a height that it does not know."""
+    gpx = b'<gpx><wpt lat="47.3" lon="8.6"><ele>0</ele></wpt></gpx>'
+    for name, data in (("a.geojson", of_features("[8.6,47.3,0,1789000000000]")), ("a.gpx", gpx)):
+        (pin,) = read_pins_of(name, data).pins
+        assert (pin.clicks[0].height_ellipsoid_m, pin.clicks[0].height_amsl_m) == (None, None)
+    (pin,) = read_pins_of("a.geojson", of_features("[8.6,47.3,430.5]")).pins
+    assert pin.clicks[0].height_ellipsoid_m == 430.5
+
+
+def test_coordinates_of_another_system_are_named() -> None:
+    swiss = of_features("[2683000,1247000]")
+
+    def named(crs: str, data: bytes) -> bytes:
+        return data.replace(b'"features"', f'"crs":{{"properties":{{"name":"{crs}"}}}},"features"'.encode())
+
+    with pytest.raises(InputError, match="are of urn:ogc:def:crs:EPSG::2056, and WGS84 is needed"):
+        read_pins_of("a.geojson", named("urn:ogc:def:crs:EPSG::2056", swiss))
+    with pytest.raises(InputError, match="metres rather than degrees"):
+        read_pins_of("a.geojson", swiss)
+    ours = named("urn:ogc:def:crs:OGC:1.3:CRS84", of_features("[8.6,47.3]"))
+    assert places(read_pins_of("a.geojson", ours)) == [("B", 47.3, 8.6)]
+
+
+def test_the_samples_of_what_people_bring_are_read(shared_data: Path) -> None:
+    folder = shared_data / "people_bring"
+    counts = {name: read_pins(folder / name) for name in ("a.kmz", "caltopo.geojson", "one_empty.kml", "onebad.gpx")}
+    assert {name: (len(found.pins), len(found.bad)) for name, found in counts.items()} == {
+        "a.kmz": (1, 0), "caltopo.geojson": (1, 0), "one_empty.kml": (1, 1), "onebad.gpx": (1, 1),
+    }  # fmt: skip
