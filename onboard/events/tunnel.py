@@ -22,5 +22,8 @@ class TunnelEnd(Protocol):
     def due(self) -> Iterable[tuple[Peer, bytes]]:
         """What is to be sent now, and to which ground."""
 
+    def charge(self, wire_bytes: int) -> None:
+        """The autopilot was sent so many bytes that it passes on to its radios."""
+
     def know_ground_stations(self, low: int, high: int) -> None:
         """The system numbers that the autopilot takes for its ground stations."""

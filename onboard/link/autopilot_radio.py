@@ -68,6 +68,10 @@ class AutopilotRadio:
         """No more answers."""
         self.clicks.close()
 
+    def charge(self, wire_bytes: int) -> None:
+        """What the autopilot passes on of ours in addition: heartbeats, time requests, texts to the pilot."""
+        self._bucket.take(wire_bytes, self._now_ns() / 1e9)
+
     def know_ground_stations(self, low: int, high: int) -> None:
         """The system numbers that the autopilot takes for its ground stations."""
         self._ground_stations = low, high

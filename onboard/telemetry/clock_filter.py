@@ -18,7 +18,7 @@ NS_PER_S = 1e9
 DENSITIES_PER_S = (1e-15, 1e-12, 1e-9, 1e-6)
 # One sigma of the rate before anything is known, for the same: crystals are cut to some 1e-4, simulators to per cents.
 PRIOR_RATES = (2e-4, 2e-4, 1e-2, 3e-2)
-MEAN_STAY_S = 60.0  # in one model before it changes to another: an order of magnitude
+MEAN_STAY_S = 3600.0  # in one model before it changes to another: a crystal stays one; an order of magnitude
 MAX_RATE = 0.1  # more is no clock
 
 

@@ -87,6 +87,8 @@ class Gimbals:
     def asked(self, sent_ns: int) -> None:
         """A TIMESYNC request has left: everyone on the line may answer it, each from a clock of its own."""
         self._asked.append(sent_ns)
+        for gimbal in self._by_component.values():
+            gimbal.clock.asked(sent_ns)
 
     def receive(self, message: Any, arrival_ns: int) -> list[GimbalAttitude | Zoom]:
         """A message of their own component -> attitude or zoom on our clock, if it holds one that counts."""

@@ -17,6 +17,7 @@ from onboard.telemetry.ground_stations import GroundStations
 from onboard.telemetry.mavlink_events import AUTOPILOT_COMPONENT
 
 TUNNEL_BYTES = 128  # of its payload's field
+FRAME_BYTES, SIGNATURE_BYTES = 12, 13  # of a packet, in addition to its payload
 
 
 class Passage:
@@ -24,6 +25,7 @@ class Passage:
 
     def __init__(self, config: Config, tunnel: TunnelEnd) -> None:
         self._component, self._tunnel = config.telemetry.component, tunnel
+        self._signature_bytes = SIGNATURE_BYTES if config.telemetry.signing_key is not None else 0
         self._ground_stations = GroundStations()
 
     def receive(self, message: Any, system: int | None) -> None:
@@ -38,6 +40,11 @@ class Passage:
             is_autopilot = (message.get_srcSystem(), message.get_srcComponent()) == (system, AUTOPILOT_COMPONENT)
             if is_autopilot and self._ground_stations.receive(message):
                 self._tunnel.know_ground_stations(*self._ground_stations.range)
+
+    def note_sent(self, message: Any) -> None:
+        """A message of ours went to the autopilot, which passes on what has no target."""
+        if not hasattr(message, "target_system"):
+            self._tunnel.charge(FRAME_BYTES + self._signature_bytes + message.unpacker.size)
 
     def due(self, now_ns: int, system: int) -> list[Any]:
         """Messages to be sent now."""

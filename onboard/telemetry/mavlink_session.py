@@ -16,14 +16,13 @@ from onboard.events.types import GimbalAttitude, NavEvent, PositionFix
 from onboard.telemetry.gimbal_senders import Gimbals, is_of_payload
 from onboard.telemetry.mavlink_events import AUTOPILOT_COMPONENT, MessageToEvent, Sources, boot_ns_of
 from onboard.telemetry.message_rates import RateRequests
-from onboard.telemetry.timesync import LinkClock
+from onboard.telemetry.timesync import SELDOM_NS, LinkClock
 from onboard.telemetry.vehicle_choice import VehicleChoice, is_autopilot
 
 NS_PER_S = 1_000_000_000
-BEAT_NS = NS_PER_S
-TIMESYNC_NS = NS_PER_S
-HURRIED_TIMESYNC_NS = NS_PER_S // 5
-MAX_HURRIED = 10  # without any answer
+# Between heartbeats: until the autopilot is received, which may first have to be sent to; and then, for it passes them
+# on to every radio, 21 bytes each.
+CALL_NS, BEAT_NS = NS_PER_S, SELDOM_NS
 MAX_PENDING = 32
 RETURN_NS = 3 * NS_PER_S  # of silence after which what was granted is taken for lost
 SUBSTITUTE_NS = 5 * NS_PER_S  # to wait for the better of two messages
@@ -51,8 +50,7 @@ class Autopilot:
         self._position_ns: int | None = None
         self._newest_boot_ns = 0
         self._boot_moved_ns = 0
-        self._next_beat_ns = self._next_timesync_ns = self._next_text_ns = 0
-        self._asked = 0  # TIMESYNC requests since the boot
+        self._next_beat_ns = self._next_text_ns = self._next_answer_ns = 0
         self._pending: deque[int] = deque(maxlen=MAX_PENDING)
         self._answers: deque[Any] = deque(maxlen=MAX_PENDING)
         self._texts: deque[tuple[Severity, str]] = deque(maxlen=MAX_TEXTS)
@@ -109,7 +107,10 @@ class Autopilot:
         return message.target_system in (0, self.system) and message.target_component in (0, self.config.component)
 
     def _timesync(self, message: Any, arrival_ns: int) -> None:
-        if message.tc1 == 0:
+        if message.tc1 == 0:  # it keeps time without us, and our answers too go to every radio
+            if arrival_ns < self._next_answer_ns and self.clock.sync.is_settled:
+                return
+            self._next_answer_ns = arrival_ns + SELDOM_NS
             self._answers.append(mavlink.MAVLink_timesync_message(arrival_ns, message.ts1))
         elif message.ts1 in self._pending:
             self._pending.remove(message.ts1)
@@ -139,7 +140,6 @@ class Autopilot:
         self._converter = MessageToEvent(self._converter.sources)
         self._seen.clear()
         self._pending.clear()
-        self._asked = 0
         self._first_ns, self._newest_boot_ns = arrival_ns, 0
 
     def _best_sources(self, now_ns: int) -> Sources:
@@ -167,17 +167,14 @@ class Autopilot:
             return []
         out: list[Any] = []
         if now_ns >= self._next_beat_ns:
-            self._next_beat_ns = now_ns + BEAT_NS
+            self._next_beat_ns = now_ns + (BEAT_NS if self.is_known else CALL_NS)
             out.append(self._heartbeat(mavlink.MAV_STATE_ACTIVE))
         if self.system is None or self._received_ns is None:
             return out
         while self._answers:
             out.append(self._answers.popleft())
-        if now_ns >= self._next_timesync_ns:
-            is_unanswered = not self.clock.sync.kept and self._asked >= MAX_HURRIED
-            relaxed = self.clock.sync.is_settled or is_unanswered
-            self._next_timesync_ns = now_ns + (TIMESYNC_NS if relaxed else HURRIED_TIMESYNC_NS)
-            self._asked += 1
+        if self.clock.is_due(now_ns):
+            self.clock.asked(now_ns)
             self._pending.append(now_ns)
             self.gimbals.asked(now_ns)
             out.append(mavlink.MAVLink_timesync_message(0, now_ns))

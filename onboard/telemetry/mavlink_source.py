@@ -183,16 +183,21 @@ class LiveTelemetry:
                 if self._passage is not None and autopilot.is_known:
                     self._passage.receive(message, autopilot.system)
             end.system = autopilot.system
-            for message in autopilot.due(clock.now_ns(), wire.speaks_first or self._is_signed):
-                end.send(message)
-            if self._passage is not None and autopilot.system is not None:
-                for message in self._passage.due(now_ns, autopilot.system):
-                    end.send(message)
+            self._send_due(end, clock.now_ns(), speaks_first=wire.speaks_first or self._is_signed)
             self._complaint = end.complaint()
             self._lost = end.lost(autopilot.system) if autopilot.system is not None else None
             if wire.may_die_silently and now_ns - received_ns > HUNG_NS:
                 self._fault = f"{self._address.place}: silent; opening it again"
                 return
+
+    def _send_due(self, end: End, now_ns: int, *, speaks_first: bool) -> None:
+        for message in self._autopilot.due(now_ns, speaks_first):
+            end.send(message)
+            if self._passage is not None:
+                self._passage.note_sent(message)
+        if self._passage is not None and self._autopilot.system is not None:
+            for message in self._passage.due(now_ns, self._autopilot.system):
+                end.send(message)
 
     @property
     def _is_signed(self) -> bool:

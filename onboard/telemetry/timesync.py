@@ -21,15 +21,21 @@ from onboard.telemetry.clock_filter import ClockFilter
 
 NS_PER_S = 1_000_000_000
 BIN_NS = NS_PER_S // 2
-SETTLED_NS = 4 * NS_PER_S
-WINDOW_NS = 60 * NS_PER_S  # over which the least round trip is sought
+FIRST_FEW = 5  # exchanges, asked for in a hurry
+WINDOW_NS, LEAST_KEPT = 60 * NS_PER_S, 24  # over which, and over how many, the least round trip is sought
+# Between questions: autopilots pass them on to every radio, 28 bytes each. Asked once the offset has become less
+# certain by `GROWN_NS` (0.02 m at 20 m/s), or where it is not known as well, by a twentieth, as its own
+# filter predicts it; unanswered some times, ever more seldom.
+HURRIED_NS, SOON_NS, SELDOM_NS = NS_PER_S // 5, NS_PER_S, 30 * NS_PER_S
+GROWN_NS, GROWN_SHARE = 1_000_000.0, 0.3
+MAX_UNANSWERED = 5
 MAX_ROUND_TRIP_NS = 2 * NS_PER_S
 FLOOR_NS = 100_000.0  # of an exchange's error: scheduling, reading the clocks
 TOLERANCE_NS = 2_000_000.0  # beyond half its round trip, before an exchange contradicts the line
 MAX_CONTRADICTIONS = 3
 FEW = 16  # exchanges, while the least round trip is still falling: all are weighted again with each
 DISAGREEMENT_NS = 1.5 * NS_PER_S  # between TIMESYNC and the newest arrivals: it is of another clock
-STALE_NS = 5 * NS_PER_S  # without an exchange, before arrivals may serve better
+STALE_NS = 5 * NS_PER_S  # without an answer, before arrivals may serve better
 FIRST_EXCHANGES = 3
 HOLD_NS = 1 * NS_PER_S  # until what has come is trusted without them
 SLEW = 0.25
@@ -103,8 +109,14 @@ class TimeSync:
 
     @property
     def is_settled(self) -> bool:
-        """Whether it has what it needs, so that asking once a second is enough."""
-        return (max(self.kept) - min(self.kept)) * BIN_NS >= SETTLED_NS and not self.outliers if self.kept else False
+        """Whether it has what it needs to predict how long it will do."""
+        return self.exchanges >= FIRST_FEW and not self.outliers
+
+    def grown_ns(self, boot_ns: int) -> float:
+        """What one sigma of the offset has grown by, in squares, since the newest exchange."""
+        if self._filter is None:
+            return math.inf
+        return math.sqrt(max(self._filter.at(boot_ns)[2] - self._filter.at(self._filter.boot_ns)[2], 0.0))
 
     @property
     def line(self) -> Line | None:
@@ -131,7 +143,7 @@ class TimeSync:
         held = self.kept.get(key)
         if held is None or new.round_trip_ns < held.round_trip_ns:
             self.kept[key] = new
-        oldest = (new.boot_ns - WINDOW_NS) // BIN_NS
+        oldest = min((new.boot_ns - WINDOW_NS) // BIN_NS, sorted(self.kept)[-LEAST_KEPT:][0])
         self.kept = {k: exchange for k, exchange in self.kept.items() if k >= oldest}
         trips = sorted(exchange.round_trip_ns for exchange in self.kept.values())
         least = self.round_trip_ns = trips[0]
@@ -180,6 +192,9 @@ class LinkClock:
         self._is_handed_out = False  # a stamp of this boot has left: from now on the clock may only slew
         self._round_trip_ns = 0  # the least that was known last, of this link
         self._contradictions = 0
+        self._asked_ns: int | None = None
+        self._unanswered = 0  # questions since the newest exchange that counts
+        self._waiting_boot_ns: int | None = None  # since when one is unanswered
         self._figures: dict[str, float] = {}  # made by the thread that feeds, read by any
         self._figures_ns = 0
         self.sync = TimeSync()
@@ -194,12 +209,38 @@ class LinkClock:
             self._pieces.clear()
             self._is_handed_out = False
             self._began_ns, self._newest_ns = arrival_ns, boot_ns
+            self._asked_ns, self._unanswered, self._waiting_boot_ns = None, 0, None
             self._figures_ns = boot_ns
         self._newest_ns = max(self._newest_ns, boot_ns)
         self._follow()
         if restarted or self._newest_ns - self._figures_ns >= PIECE_NS:
             self._note_figures()
         return restarted and self._arrivals.segments > 1
+
+    def is_due(self, now_ns: int) -> bool:
+        """Whether a TIMESYNC request is worth its bytes now."""
+        if self._asked_ns is None:
+            return True
+        since_ns = now_ns - self._asked_ns
+        if self._unanswered > 2 * MAX_UNANSWERED or (self._unanswered > MAX_UNANSWERED and self.sync.is_settled):
+            return since_ns >= min(SOON_NS << min(self._unanswered - MAX_UNANSWERED, 8), SELDOM_NS)
+        if not self.sync.is_settled:
+            return since_ns >= HURRIED_NS
+        is_wanted = self._unanswered > 0 or self._has_grown
+        return since_ns >= (SOON_NS if is_wanted else SELDOM_NS)
+
+    @property
+    def _has_grown(self) -> bool:
+        line = self.sync.line
+        known_ns = GROWN_NS if line is None else max(GROWN_NS, GROWN_SHARE * line.sigma_ns)
+        return self.sync.grown_ns(self._newest_ns) > known_ns
+
+    def asked(self, now_ns: int) -> None:
+        """A TIMESYNC request has left."""
+        self._asked_ns = now_ns
+        self._unanswered += 1
+        if self._waiting_boot_ns is None:
+            self._waiting_boot_ns = self._newest_ns
 
     def exchanged(self, sent_ns: int, boot_ns: int, received_ns: int) -> None:
         """Take an answered TIMESYNC request: our time when it left, the autopilot's, our time when it came back."""
@@ -214,6 +255,7 @@ class LinkClock:
             self._follow(at_once=True)
         if not self.disagrees and self.sync.add(sent_ns, boot_ns, received_ns):
             self._round_trip_ns = self.sync.round_trip_ns
+            self._unanswered, self._waiting_boot_ns = 0, None
             self._follow(at_once=True)
         self._note_figures()
 
@@ -268,8 +310,7 @@ class LinkClock:
         line = self.sync.line_at(self._newest_ns)
         if line is None:
             return False
-        is_new = self._newest_ns - self.sync.newest_ns <= STALE_NS
-        return is_new or line.sigma_ns <= self._by_arrival(self._newest_ns).sigma_ns
+        return self._is_answered or line.sigma_ns <= self._by_arrival(self._newest_ns).sigma_ns
 
     def _by_arrival(self, boot_ns: int) -> Line:
         offset_ns, drift, sigma_ns = self._arrivals.line(boot_ns)
@@ -289,7 +330,8 @@ class LinkClock:
             self._pieces.append(_Piece(self._newest_ns, self._target(self._newest_ns), 0.0))
             return
         last = self._pieces[-1]
-        if not at_once and (self._newest_ns - last.start_ns < PIECE_NS or self._is_exchange_new):
+        is_followed = self._is_answered and self.sync.line is not None
+        if not at_once and (self._newest_ns - last.start_ns < PIECE_NS or is_followed):
             return
         target = self._target(self._newest_ns)
         if not self._is_handed_out:
@@ -300,5 +342,6 @@ class LinkClock:
         self._pieces.append(_Piece(self._newest_ns, target, gap))
 
     @property
-    def _is_exchange_new(self) -> bool:
-        return self.sync.line is not None and self._newest_ns - self.sync.newest_ns <= STALE_NS
+    def _is_answered(self) -> bool:
+        """Whether no question has been waiting for its answer for long."""
+        return self._waiting_boot_ns is None or self._newest_ns - self._waiting_boot_ns <= STALE_NS

@@ -65,6 +65,7 @@ class Link:
         self.clock = LinkClock("auto")
         self.rng = random.Random(seed)
         self.tick = 0
+        self.asked_s: list[float] = []
 
     def fly(self, seconds: float, sync: bool = True, other_clock_s: float = 0.0) -> Simulated:
         """`other_clock_s`: exchanges are answered from a clock that much ahead of the one that stamps."""
@@ -74,7 +75,11 @@ class Link:
             boot_ns = self.clocks.boot_ns(host_s) // MS * MS
             arrival_ns = EPOCH + round((host_s + self.delay(self.rng)) * 1e9)
             self.clock.arrived(boot_ns, arrival_ns)
-            if sync and self.tick % (10 if self.clock.sync.is_settled else 2) == 0:
+            asks = self.clock.is_due(EPOCH + round(host_s * 1e9))
+            if asks:
+                self.clock.asked(EPOCH + round(host_s * 1e9))
+                self.asked_s.append(host_s)
+            if asks and sync:
                 there_s = host_s + self.delay(self.rng)
                 back_ns = EPOCH + round((there_s + self.delay(self.rng)) * 1e9)
                 answer_ns = self.clocks.boot_ns(there_s) + round(other_clock_s * 1e9)
@@ -106,6 +111,26 @@ def test_stamps_keep_to_their_sigma_for_ten_minutes(rate: float, changes: bool, 
     assert np.max(np.abs(simulated.error_ms[simulated.at_s > 10.0])) < (5.0 if delay is quiet else 45.0)
     assert not link.clock.disagrees
     assert is_rising(simulated)
+
+
+@pytest.mark.parametrize("delay", [quiet, slow])
+@pytest.mark.parametrize("rate", rest_long([50e-6, 0.0, 200e-6]))
+def test_a_crystal_is_asked_seldom_once_it_is_known_and_stays_known(rate: float, delay: Delay) -> None:
+    link = Link(Clocks(rate, False), delay)
+    simulated = link.fly(SECONDS)
+    settled = simulated.at_s > 60.0
+    asked = sum(at_s > 60.0 for at_s in link.asked_s)
+    assert (SECONDS - 60.0) / 31.0 <= asked <= (SECONDS - 60.0) / 20.0
+    assert share_within(simulated, 4.0) >= 0.99
+    assert np.max(np.abs(simulated.error_ms[settled])) < (2.0 if delay is quiet else 25.0)
+    assert np.max(simulated.sigma_ms[settled]) < (2.0 if delay is quiet else 32.0)
+
+
+def test_a_clock_that_changes_is_asked_as_often_as_it_needs() -> None:
+    link = Link(Clocks(15e-3, True), quiet)
+    simulated = link.fly(200.0)
+    assert 100 <= sum(at_s > 60.0 for at_s in link.asked_s) <= 145
+    assert np.max(np.abs(simulated.error_ms[simulated.at_s > 60.0])) < 4.0
 
 
 def is_rising(*flights: Simulated) -> bool:
