@@ -160,7 +160,7 @@ def test_it_is_a_good_citizen(simulated: dict[str, Simulated], name: str) -> Non
 @ALL
 def test_a_log_it_wrote_reads_as_the_same_flight(simulated: dict[str, Simulated], folder: Path, name: str) -> None:
     (path,) = (folder / name).glob("*.tlog")
-    log = read_tlog(path)
+    log = read_tlog(path, chosen=simulated[name].autopilot.system)
     live = [event for event in simulated[name].events if isinstance(event, PositionFix)]
     again = [event for event in log.events if isinstance(event, PositionFix)]
     assert {content(event) for event in live} <= {content(event) for event in again}
