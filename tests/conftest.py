@@ -32,9 +32,12 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # An example's time says how loaded the machine is; what must be quick has a test of its own. The same examples every
-# run: a change is judged by itself and not by what chance found; `--hypothesis-profile=default` looks further.
-settings.register_profile("pointclick", deadline=None, derandomize=True)
-settings.load_profile("pointclick")
+# run: a change is judged by itself and not by what chance found; `--hypothesis-profile=default` looks further. A run of
+# long tests has eight times as many, and each property among its tests.
+EXAMPLES = {"few": 25, "many": 200}
+for profile, examples in EXAMPLES.items():
+    settings.register_profile(profile, deadline=None, derandomize=True, max_examples=examples)
+settings.load_profile("few")
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 
@@ -86,6 +89,8 @@ def pytest_configure(config: pytest.Config) -> None:
     its runs.
     """
     expression = config.option.markexpr
+    if asks_for_long(expression) and not config.getoption("--hypothesis-profile"):
+        settings.load_profile("many")
     register(config, "not long" in expression and may_be_chosen(expression, ""))  # then every file is looked at
     if not hasattr(config, "workerinput"):
         from simulation.kept_drawings import FOLDER_VARIABLE  # noqa: PLC0415  NumPy, not before the variables above
@@ -106,6 +111,10 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     file and take minutes each. (pytest-xdist keeps this order with --no-loadscope-reorder only.) Of those that measure
     real time, the ones that mostly wait are one worker's by folder, next to another's that do not.
     """
+    if asks_for_long(config.option.markexpr):
+        for item in items:
+            if getattr(getattr(item, "obj", None), "is_hypothesis_test", False):
+                item.add_marker("long")
     limit(items)
     items.sort(key=lambda item: item.path.parent != Path(__file__).parent)
     for item in items:
@@ -140,11 +149,21 @@ def group_of(item: pytest.Item) -> str:
 
 
 MARKERS = ("long", "wall_clock")
+PROPERTY = "@given"  # of hypothesis: in a run of long tests all of them are
+
+
+def asks_for_long(expression: str) -> bool:
+    """Return whether `-m expression` chooses long tests and no others."""
+    chosen = Expression.compile(expression) if expression else None
+    return chosen is not None and not any(
+        chosen.evaluate(lambda name, /, **_: name in have)  # noqa: B023  evaluated here
+        for have in ((), ("wall_clock",))
+    )
 
 
 def may_be_chosen(expression: str, text: str) -> bool:
     """Whether a file of tests can hold one that `-m expression` chooses: some of the markers that it names would do."""
-    named = [marker for marker in MARKERS if marker in text]
+    named = [marker for marker in MARKERS if marker in text or (marker == "long" and PROPERTY in text)]
     chosen = Expression.compile(expression)
     return any(
         chosen.evaluate(lambda name, /, **_: name in have)  # noqa: B023  evaluated here

@@ -195,7 +195,9 @@ def _is_tests(path: str) -> bool:
 def has_long(path: Path) -> bool:
     """Return whether a file may hold long tests."""
     text = path.read_text(encoding="utf-8")
-    return "mark.long" in text or "rest_long" in text
+    return any(
+        words in text for words in ("mark.long", "rest_long", "@given")
+    )  # conftest.py makes properties long ones
 
 
 def main(arguments: list[str]) -> int:

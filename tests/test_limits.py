@@ -1,4 +1,4 @@
-"""A test that hangs ends with its name and its stacks, and those after it run."""
+"""A test that hangs ends with its name and its stacks; properties have many examples in a long run."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.conftest import EXAMPLES, asks_for_long
 from tests.limits import GUEST_S, LONG_S, ORDINARY_S, TESTS, limit_s
 
 HANGS = """
@@ -63,3 +64,27 @@ def test_one_that_hangs_is_named_by_its_worker_and_the_others_run(tmp_path: Path
     assert "1 passed, 1 failed, 1 error" in done.stdout.replace("1 failed, 1 passed", "1 passed, 1 failed")
     assert "FAILED test_hanging.py::test_that_waits_for_ever - Failed: Timeout" in done.stdout
     assert "ERROR test_hanging.py::test_whose_fixture_waits_for_ever - Failed: Timeout" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("expression", "is_long"),
+    [
+        ("long and not wall_clock", True), ("long and wall_clock", True), ("long", True), ("", False),
+        ("not long and not wall_clock", False), ("not long", False), ("wall_clock", False),
+        ("long or wall_clock", False),
+    ],
+)  # fmt: skip
+def test_a_run_of_long_tests_is_known_by_its_expression(expression: str, is_long: bool) -> None:
+    assert asks_for_long(expression) is is_long
+
+
+@pytest.mark.parametrize(("expression", "profile"), [("long and not wall_clock", "many"), ("not long", "few")])
+def test_a_property_is_tried_with_more_examples_in_the_long_run(expression: str, profile: str) -> None:
+    file = "tests/contract/test_codec.py"
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", file, "-m", expression, "-p", "no:cacheprovider",
+         "--hypothesis-show-statistics", "-k", "test_any_bytes_are_a_set_or_a_named_error"],
+        cwd=TESTS.parent, capture_output=True, text=True, check=False, timeout=200,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert f"settings.max_examples={EXAMPLES[profile]}" in done.stdout

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from contract.camera import Camera
@@ -65,7 +65,6 @@ def test_two_hundred_features_of_a_large_picture_over_hills_fit_a_packet() -> No
     assert len(encode(plain_set(200, relief=0.1, camera=camera))) <= 1250
 
 
-@settings(deadline=None, max_examples=150)
 @given(feature_sets())
 def test_what_was_decoded_encodes_to_the_same_bytes(feature_set: FeatureSet) -> None:
     payload = encode(feature_set)
@@ -74,7 +73,6 @@ def test_what_was_decoded_encodes_to_the_same_bytes(feature_set: FeatureSet) -> 
     assert_same(decode(encode(decoded)), decoded)
 
 
-@settings(deadline=None, max_examples=150)
 @given(feature_sets())
 def test_a_round_trip_stays_within_the_stated_rounding(feature_set: FeatureSet) -> None:
     got, want = decode(encode(feature_set)), feature_set
@@ -116,7 +114,6 @@ def test_a_round_trip_stays_within_the_stated_rounding(feature_set: FeatureSet) 
     assert np.all(rounding <= sigma / 6.0 * 1.04 + 1e-12 * (np.abs(here) + np.abs(there)))
 
 
-@settings(deadline=None, max_examples=100)
 @given(feature_sets())
 def test_the_decoded_covariance_keeps_its_variances_and_is_positive_semi_definite(feature_set: FeatureSet) -> None:
     after = decode(encode(feature_set))
@@ -165,7 +162,6 @@ def test_the_identity_is_read_without_decoding() -> None:
     assert identity.status is Status.OK
 
 
-@settings(deadline=None, max_examples=400)
 @given(st.binary(max_size=900))
 def test_any_bytes_are_a_set_or_a_named_error(payload: bytes) -> None:
     for candidate in (payload, b"PC\x20" + payload, b"PC\x40" + payload):
@@ -173,7 +169,6 @@ def test_any_bytes_are_a_set_or_a_named_error(payload: bytes) -> None:
             decode(candidate)
 
 
-@settings(deadline=None, max_examples=500)
 @given(st.data())
 def test_hostile_content_under_a_right_checksum_is_a_set_or_a_named_error(data: st.DataObject) -> None:
     content = bytearray(data.draw(st.sampled_from(KINDS))[:-4])
@@ -188,7 +183,6 @@ def test_hostile_content_under_a_right_checksum_is_a_set_or_a_named_error(data: 
         assert np.all(np.isfinite(getattr(got, name)))
 
 
-@settings(deadline=None, max_examples=300)
 @given(st.integers(0, len(PAYLOAD) * 8 - 1))
 def test_a_flipped_bit_is_a_named_error(position: int) -> None:
     damaged = bytearray(PAYLOAD)

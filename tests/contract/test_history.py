@@ -83,7 +83,6 @@ def delivered(draw: st.DrawFn) -> tuple[list[FeatureSet], int]:
     return [s for _, s in sorted(packets, key=lambda pair: pair[0])], 99 + len(lengths)
 
 
-@settings(deadline=None, max_examples=300)
 @given(delivered())
 def test_late_packets_of_several_sessions_leave_the_last_whole(simulated: tuple[list[FeatureSet], int]) -> None:
     packets, last = simulated
@@ -94,7 +93,6 @@ def test_late_packets_of_several_sessions_leave_the_last_whole(simulated: tuple[
     assert history.newest() is max(kept.values(), key=lambda s: (s.is_ok, s.frame))
 
 
-@settings(deadline=None, max_examples=300)
 @given(st.lists(st.tuples(st.integers(1, 4), st.integers(0, 9), st.integers(0, 2)), max_size=60))
 def test_in_any_order_what_is_handed_out_is_of_the_latest_session(rows: list[tuple[int, int, int]]) -> None:
     history: History[FeatureSet] = History()

@@ -3,7 +3,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from contract.answer import CHI2_2, Ellipse, Fix, Refusal
@@ -204,7 +204,6 @@ def test_an_ellipse_states_its_axes_and_azimuth_clockwise_from_north(a: float, b
     assert 0.0 <= ellipse.azimuth_deg < 180.0
 
 
-@settings(deadline=None, max_examples=150)
 @given(feature_sets(), st.floats(-10.0, 4100.0), st.floats(-10.0, 3100.0))
 def test_any_set_and_any_click_end_in_a_finite_answer_or_a_reason(s: FeatureSet, u: float, v: float) -> None:
     answer = Locator(decode(encode(s))).locate((u, v))

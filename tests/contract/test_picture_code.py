@@ -13,7 +13,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from contract.errors import CorruptPayload, NewerPayload, TruncatedPayload, WireError
@@ -35,7 +35,6 @@ def with_checksum(body: bytes) -> bytes:
     return body + struct.pack("<I", zlib.crc32(body))
 
 
-@settings(deadline=None, max_examples=60)
 @given(pictures(), st.booleans(), st.integers(200, 1250), st.randoms())
 def test_any_picture_comes_back_from_its_pieces_in_any_order(
     picture: LinkPicture, with_parity: bool, max_bytes: int, order: object
@@ -50,7 +49,6 @@ def test_any_picture_comes_back_from_its_pieces_in_any_order(
     assert put_together(pieces) == picture
 
 
-@settings(deadline=None, max_examples=60)
 @given(pictures(), st.integers(300, 1250), st.data())
 def test_one_lost_piece_of_each_group_comes_back_and_two_do_not(
     picture: LinkPicture, max_bytes: int, data: st.DataObject
@@ -103,7 +101,6 @@ def test_the_size_of_an_image_is_what_its_decoder_finds(suffix: str) -> None:
                 assert image_size(content) == (kind, width, height)
 
 
-@settings(max_examples=300)
 @given(st.binary(max_size=200))
 def test_whatever_bytes_come_only_a_wire_error_is_raised(junk: bytes) -> None:
     for payload in (junk, b"PP\x10\x02" + junk, with_checksum(b"PP\x10\x01" + junk)):
@@ -113,7 +110,6 @@ def test_whatever_bytes_come_only_a_wire_error_is_raised(junk: bytes) -> None:
         assert image_size(b"\xff\xd8\xff" + junk[:20])[0] is ImageFormat.JPEG
 
 
-@settings(deadline=None, max_examples=300)
 @given(st.integers(0, 36), st.binary(min_size=1, max_size=9))
 def test_a_head_that_lies_is_refused_or_harmless_though_its_checksum_is_right(at: int, junk: bytes) -> None:
     payload = cut(small_picture(size=3000), with_parity=True)[0]
@@ -127,7 +123,6 @@ def test_a_head_that_lies_is_refused_or_harmless_though_its_checksum_is_right(at
     assert piece.whole.pieces <= 255 and len(piece.whole.vehicle.encode()) <= 32
 
 
-@settings(deadline=None, max_examples=100)
 @given(st.data())
 def test_every_truncation_and_every_flipped_bit_is_noticed(data: st.DataObject) -> None:
     payload = cut(small_picture(size=800), with_parity=False)[0]

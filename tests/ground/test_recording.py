@@ -134,7 +134,7 @@ def test_a_killed_recorder_loses_nothing(tmp_path: Path) -> None:
     assert Recording(path).frames("uav-1") == list(range(400))
 
 
-@settings(deadline=None, max_examples=80, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.data())
 def test_a_file_cut_anywhere_is_read_up_to_the_cut(session: Path, data: st.DataObject) -> None:
     content = session.read_bytes()
@@ -152,7 +152,7 @@ def test_a_file_cut_anywhere_is_read_up_to_the_cut(session: Path, data: st.DataO
     assert all(recording.by_frame("uav-1", frame) is not None for frame in frames)
 
 
-@settings(deadline=None, max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.data())
 def test_a_damaged_file_is_read_or_refused_by_name(session: Path, data: st.DataObject) -> None:
     content = bytearray(session.read_bytes())
@@ -233,7 +233,7 @@ def test_a_click_on_a_damaged_recording_is_answered_with_a_warning(
     assert '"frame": 90' in out and err.startswith("pc-ground: warning: ") and err.count("\n") == 1
 
 
-@settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.data())
 def test_any_damaged_heads_cost_no_more_than_their_neighbours(long_session: Long, data: st.DataObject) -> None:
     path, places, of_sets = long_session

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import zenoh
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from contract.errors import InputError, LinkError
@@ -313,7 +313,6 @@ def test_more_pins_than_are_taken_are_refused_and_those_that_are_here_go_on(tmp_
         assert store.merge_all(pins[:5], 20) == (0, []) and store.revision == revision + 1
 
 
-@settings(deadline=None, max_examples=60)
 @given(st.binary(max_size=300), st.recursive(st.none() | st.integers() | st.text(max_size=5), st.lists, max_leaves=20))
 def test_reading_messages_raises_nothing_but_input_errors(junk: bytes, value: object) -> None:
     good = many(1)[0].to_dict()

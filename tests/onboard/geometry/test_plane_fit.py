@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from contract.rotations import exp_so3
@@ -14,7 +14,6 @@ from simulation.study_seed import level, roll_from_plane
 slope = st.floats(-0.5, 0.5)
 
 
-@settings(max_examples=50, deadline=None)
 @given(slope, slope, st.floats(-500.0, 500.0), st.integers(0, 1000))
 def test_a_tilted_plane_is_found(east: float, north: float, height: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -62,7 +61,6 @@ def test_the_roll_is_the_slope_across_the_line_of_flight() -> None:
     assert roll_from_plane(np.array([0.0, 0.0, 0.3]), np.array([0.0, 9.0, 0.0])) == pytest.approx(0.0)
 
 
-@settings(max_examples=50, deadline=None)
 @given(st.floats(-3.14, 3.14), st.floats(-0.3, 0.3), st.integers(0, 100))
 def test_levelling_takes_the_slope_across_away_and_leaves_the_one_along(course: float, roll: float, seed: int) -> None:
     rng = np.random.default_rng(seed)

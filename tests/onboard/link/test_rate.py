@@ -274,7 +274,6 @@ def test_a_new_session_puts_the_old_ones_sets_away() -> None:
     assert chosen is not None and chosen.item == "new"
 
 
-@settings(deadline=None, max_examples=100)
 @given(st.lists(st.tuples(st.integers(0, 300), st.integers(0, 3), st.booleans(), st.booleans()), max_size=150))
 def test_any_order_of_offers_is_survived_and_memory_stays_bounded(
     offers: list[tuple[int, int, bool, bool]],

@@ -127,7 +127,7 @@ def test_the_ninth_is_refused_until_one_is_stopped() -> None:
     assert len(decode_tracks(simulated.sent[-1])) == MOST_TRACKS
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=60)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.lists(st.text(max_size=40) | st.text(alphabet="uv=;0159.frametop", max_size=30), max_size=40))
 def test_no_requests_bring_it_down_or_fill_it(texts: list[str]) -> None:
     simulated = QUIET

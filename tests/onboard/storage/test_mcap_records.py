@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from contract.errors import InputError
@@ -212,7 +212,6 @@ def test_a_replay_says_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert frames >= len(pictures) - 3
 
 
-@settings(max_examples=200, deadline=None)
 @given(share=st.floats(0.0, 1.0), length=st.integers(0, 2**64 - 1), flips=st.integers(1, 255))
 def test_whatever_is_damaged_nothing_is_read_that_was_not_written(share: float, length: int, flips: int) -> None:
     """The length of any record, or its opcode."""

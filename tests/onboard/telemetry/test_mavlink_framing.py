@@ -8,7 +8,7 @@ import time
 from typing import Any
 
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -97,7 +97,6 @@ def test_a_stray_start_byte_does_not_swallow_the_packet_after_it() -> None:
 
 
 @given(st.integers(0, 10**6))
-@settings(max_examples=200)
 def test_a_flipped_bit_never_makes_a_message(seed: int) -> None:
     rng = random.Random(seed)
     packet = bytearray(packets(1)[0])
@@ -163,7 +162,6 @@ def test_the_worst_garbage_is_read_faster_than_it_can_come() -> None:
         assert min(spent_s) < 0.7, (name, size)
 
 
-@settings(max_examples=60, deadline=None)
 @given(st.integers(0, 2**32), st.floats(0.0, 0.3))
 def test_a_recording_with_any_of_its_bytes_changed_is_survived(seed: int, share: float) -> None:
     """All the way: framing, the conversation and its answers. Nothing raises, what is asked for stays little."""
@@ -189,7 +187,6 @@ def fields(kind: Any) -> st.SearchStrategy[bytes]:
 KINDS = [mavlink.mavlink_map[number] for number in (0, 2, 22, 24, 30, 31, 33, 77, 111, 132, 193, 230, 285)]
 
 
-@settings(max_examples=300, deadline=None)
 @given(st.lists(st.sampled_from(KINDS).flatmap(lambda kind: fields(kind).map(lambda data: (kind, data))), max_size=12))
 def test_sound_packets_of_nonsense_are_survived(chosen: list[tuple[Any, bytes]]) -> None:
     autopilot, now = Autopilot(parse_config("[telemetry]\nsystem = 1")), 10**18

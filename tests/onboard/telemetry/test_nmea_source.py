@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from onboard.events.source import State
@@ -152,7 +152,6 @@ def test_half_a_line_now_and_half_later_is_one_line() -> None:
     assert fixes(events)[0].stamp_ns == EPOCH  # when it began to arrive
 
 
-@settings(max_examples=300, deadline=None)
 @given(
     st.lists(st.one_of(st.binary(max_size=120), st.text(max_size=60).map(lambda s: sentence("GNGGA," + s))), max_size=8)
 )
@@ -163,7 +162,6 @@ def test_whatever_comes_is_survived(chunks: list[bytes]) -> None:
     assert fixes(feed(receiver, [(100.0 + i, burst(NOON + i)) for i in range(5)]))
 
 
-@settings(max_examples=100, deadline=None)
 @given(
     st.lists(
         st.sampled_from(["", "x", "nan", "inf", "-1", "1e400", "123519", "999999.99", "4807.038", "N"]), max_size=16

@@ -7,7 +7,7 @@ import random
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from onboard.telemetry.boot_clock import BootClock
@@ -164,7 +164,6 @@ def test_memory_is_bounded() -> None:
     assert len(sync.kept) <= 122
 
 
-@settings(max_examples=50, deadline=None)
 @given(st.lists(st.tuples(st.integers(0, 2**40), st.integers(-(2**33), 2**33), st.booleans()), max_size=60))
 def test_whatever_comes_stamps_of_one_boot_rise_with_boot_time(fed: list[tuple[int, int, bool]]) -> None:
     clock, boot, given_ns = LinkClock("auto"), 0, []

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mavlink
 
@@ -191,7 +191,6 @@ def test_positions_before_the_filter_has_an_origin_are_dropped(tmp_path: Path) -
     assert len(of(read_tlog(log.save(tmp_path)), PositionFix)) == 1
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     cut=st.integers(1, 20_000),
     noise=st.lists(st.tuples(st.integers(0, 20_000), st.binary(min_size=1, max_size=80)), max_size=4),
