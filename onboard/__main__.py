@@ -184,6 +184,7 @@ def _add_replay(commands: Commands) -> None:
     replay.add_argument(
         "--thermal-stamps", type=Path, metavar="STAMPS.csv", help="its capture times, as --stamps has the first one's"
     )
+    replay.add_argument("--progress", action="store_true", help="progress also without a terminal: a line each 10 s")
     replay.add_argument("--budget", action="store_true", help="where a click's error comes from; what makes it smaller")
     replay.set_defaults(run=run_replay)
 

@@ -116,7 +116,7 @@ def _replayed(args: argparse.Namespace) -> tuple[int, Path]:
         return made.returncode, session
     *printed, replay = made.stdout.rstrip("\n").split("\n")
     print("\n".join(printed), flush=True)
-    replayed = _output([program, *shlex.split(replay)[1:]])
+    replayed = _output([program, *shlex.split(replay)[1:], *([] if sys.stderr.isatty() else ["--progress"])])
     lines = replayed.stdout.rstrip("\n").split("\n")
     print("\n".join(line for line in lines if not line.startswith("time, ")), flush=True)
     if replayed.returncode == NOTHING_SOLVED:

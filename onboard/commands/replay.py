@@ -37,7 +37,7 @@ from onboard.pipeline.error_budgets import BudgetWatch, NewestBudget, budget_tex
 from onboard.pipeline.pipeline import Pipeline
 from onboard.replay.comparison import Comparison
 from onboard.replay.followed import Clicked, Followed
-from onboard.replay.runner import Events, Flight, replay, summary_text
+from onboard.replay.runner import Events, Flight, ProgressLines, replay, summary_text
 from onboard.replay.spotted import Spotted
 from onboard.storage.alignment_file import StateFile
 from onboard.storage.elevation_files import TerrainFiles
@@ -99,7 +99,7 @@ def run(arguments: argparse.Namespace, stop: threading.Event) -> tuple[str, bool
         sinks.append(link)
         if config.picture.enabled:
             sinks.append(PictureSender(config.picture, link))
-    terminal = sys.stderr if sys.stderr.isatty() else None
+    terminal = sys.stderr if sys.stderr.isatty() else ProgressLines(sys.stderr) if arguments.progress else None
     linger_s = arguments.linger if arguments.publish else 0.0
     summary = replay(inputs.flight, pipeline, sinks, arguments.speed, linger_s, terminal, stop)
     if state is not None:

@@ -6,6 +6,7 @@ pipeline one by one, and what comes out goes to the sinks. Nothing here changes 
 
 from __future__ import annotations
 
+import io
 import math
 import threading
 import time
@@ -44,6 +45,7 @@ WHOLE_SECOND_SIGMA_S = 0.25  # of a stamp, from which on one cut to the second i
 LEAD_NS = 30_000_000_000
 TAIL_NS = 5_000_000_000
 PACE_LEAD_NS = 1_000_000_000
+LINE_S = 10.0  # between two lines of progress where there is no terminal
 # Pictures may lie this far outside of the telemetry and still be interpolated or extrapolated.
 OVERLAP_SLACK_NS = 300_000_000
 QUARTER_NS, MAX_QUARTERS = 900_000_000_000, 56  # of an hour; zones go to 14 h
@@ -141,6 +143,21 @@ class Events(Protocol):
         """Everything in the order in which it arrived, with that time (Unix ns)."""
 
 
+class ProgressLines(io.StringIO):
+    """What a bar is written to where there is no terminal: each state that it shows is a line."""
+
+    def __init__(self, out: TextIO) -> None:
+        super().__init__()
+        self._out = out
+
+    def write(self, text: str) -> int:
+        """A line, if there is anything in it."""
+        for line in text.replace("\n", "\r").split("\r"):
+            if line.strip():
+                print(line.strip(), file=self._out, flush=True)
+        return len(text)
+
+
 class Pace:
     """Waits so that events leave `speed` times as fast as they came; never when `speed` is None."""
 
@@ -172,7 +189,14 @@ def replay(
     stop = stop or threading.Event()
     with ExitStack() as stack:
         bar = stack.enter_context(
-            tqdm(total=len(flight.stamps_ns), unit="frame", file=progress, disable=progress is None, leave=False)
+            tqdm(
+                total=len(flight.stamps_ns),
+                unit="frame",
+                file=progress,
+                disable=progress is None,
+                leave=False,
+                **({} if progress is None or progress.isatty() else {"mininterval": LINE_S, "delay": LINE_S}),
+            )
         )
         for sink in sinks:
             stack.enter_context(sink)

@@ -25,6 +25,7 @@ from onboard.__main__ import main
 from onboard.commands.replay import recorded_flight
 from onboard.config.schema import Config
 from onboard.events.types import Event, Frame
+from onboard.replay import runner
 from onboard.replay.runner import Flight, replay
 from tests.waiting import PATIENCE_S, eventually
 
@@ -240,6 +241,15 @@ def test_a_configuration_can_be_checked(session: Path, capsys: pytest.CaptureFix
     spoil_key(session)
     assert main(["check-config", "--config", str(session / "config.toml")]) == 2
     assert "did you mean 'mount.yaw_deg'?" in capsys.readouterr().err
+
+
+def test_progress_without_a_terminal_is_lines(
+    session: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(runner, "LINE_S", 0.0)
+    assert main([*arguments(session), "--progress"]) == 3
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) >= 2 and all("frame" in line for line in lines) and "\r" not in "".join(lines)
 
 
 def test_a_key_is_set_for_one_replay(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
