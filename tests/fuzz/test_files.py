@@ -1,0 +1,119 @@
+"""Files that people bring, damaged: each reader takes them or refuses them in a line, and soon."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from contract.camera import Camera
+from contract.errors import ConfigError, InputError
+from contract.fleet import Fleet, read_fleet
+from ground.formats.documents import read_pins_of
+from ground.seen.area import read_area
+from onboard.config.schema import parse_config
+from onboard.estimation.boresight import Alignment
+from onboard.events.types import PositionFix
+from onboard.telemetry.log_files import read_log
+
+CAMERA = Camera.from_field_of_view(640, 480, 60.0)
+SRT = (
+    "1\n00:00:0{0},000 --> 00:00:0{0},500\n2023-05-12 10:01:0{0}.000\n"
+    "[latitude: 47.1] [longitude: 8.2] [abs_alt: 500]\n\n"
+)
+GPX = '<gpx><wpt lat="47.3" lon="8.6"><ele>430</ele><name>B</name></wpt></gpx>'
+KML = (
+    "<kml><Document><Placemark><name>B</name><Point><altitudeMode>absolute</altitudeMode><coordinates>8.6,47.3,430"
+    "</coordinates></Point></Placemark></Document></kml>"
+)
+AREA = '{"type": "Polygon", "coordinates": [[[8.5, 47.2], [8.6, 47.2], [8.6, 47.3], [8.5, 47.2]]]}'
+POINT = '{"type": "Feature", "geometry": {"type": "Point", "coordinates": [8.6, 47.3, 430]}, "properties": {}}'
+COT = '<event uid="a" type="a-u-G" time="2026-01-02T03:04:05Z"><point lat="1" lon="2" hae="3" ce="4" le="5"/></event>'
+SEEDS = {
+    "camera.json": CAMERA.to_json(),
+    "alignment.json": Alignment(0.02, 0.1, 20.0, 0.1, 0.03, camera=CAMERA).to_json(),
+    "fleet.toml": Fleet(aircraft=("uav-1",)).to_toml(),
+    "config.toml": "[camera]\nrate_hz = 30.0\n[telemetry]\nsystem = 1\n[link]\nlisten = ['tcp/127.0.0.1:7447']\n",
+    "area.geojson": AREA,
+    "a.geojson": POINT,
+    "a.gpx": GPX,
+    "a.kml": KML,
+    "a.cot": COT,
+    "places.csv": "name,lat,lon,height_amsl_m,ce90_m\nB,47.3,8.6,430,3\n",
+    "a.srt": "".join(SRT.format(k) for k in range(3)),
+    "log.csv": "unix_time_s,lat_deg,lon_deg,height_amsl_m\n1700000000.5,47.1,8.2,500\n1700000001.5,47.1,8.2,501\n",
+}
+ODD = (
+    "1e999",
+    "-1e999",
+    "nan",
+    "NaN",
+    "9" * 30,
+    "9" * 400,
+    "9" * 5000,
+    "-0",
+    "true",
+    "null",
+    "[]",
+    "{}",
+    '""',
+    "\0",
+    "é",
+    "",
+)
+
+
+def _fed(name: str, text: str, path: Path) -> None:
+    """To the reader of this kind of file."""
+    path.write_text(text, encoding="utf-8", errors="replace")
+    readers: dict[str, Callable[[], object]] = {
+        "camera.json": lambda: Camera.from_json(path),
+        "alignment.json": lambda: Alignment(0.02, 0.1, 20.0, 0.1, 0.03, camera=CAMERA).restore(text),
+        "fleet.toml": lambda: read_fleet(path),
+        "config.toml": lambda: parse_config(text),
+        "area.geojson": lambda: read_area(path),
+        "a.srt": lambda: _read_log(path),
+        "log.csv": lambda: _read_log(path),
+    }
+    readers.get(name, lambda: _read_pins(name, text))()
+
+
+def _read_log(path: Path) -> None:
+    log = read_log(path)
+    assert len(log.events) < 200
+    for event in log.events:
+        if isinstance(event, PositionFix):
+            assert all(math.isfinite(x) for x in (event.lat_deg, event.lon_deg, event.height_amsl_m))
+
+
+def _read_pins(name: str, text: str) -> None:
+    for pin in read_pins_of(name, text.encode("utf-8", "replace")).pins:
+        json.dumps(pin.to_dict(), allow_nan=False)
+
+
+@pytest.mark.parametrize("name", SEEDS)
+@settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_a_damaged_file_is_read_or_refused_in_a_line_and_soon(name: str, tmp_path: Path, data: st.DataObject) -> None:
+    text = SEEDS[name]
+    for _ in range(data.draw(st.integers(1, 3))):
+        at = data.draw(st.integers(0, len(text)))
+        end = min(at + data.draw(st.integers(0, 12)), len(text))
+        text = text[:at] + data.draw(st.sampled_from((*ODD, text[at:end] * 2))) + text[end:]
+    began_s = time.thread_time()
+    try:
+        _fed(name, text, tmp_path / name)
+    except (InputError, ConfigError) as error:
+        assert len(str(error).splitlines()) <= 1
+    assert time.thread_time() - began_s < 2.0
+
+
+@pytest.mark.parametrize("name", SEEDS)
+def test_the_undamaged_file_is_read(name: str, tmp_path: Path) -> None:
+    _fed(name, SEEDS[name], tmp_path / name)
