@@ -98,7 +98,7 @@ def _read_pins(name: str, text: str) -> None:
 
 
 @pytest.mark.parametrize("name", SEEDS)
-@settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_a_damaged_file_is_read_or_refused_in_a_line_and_soon(name: str, tmp_path: Path, data: st.DataObject) -> None:
     text = SEEDS[name]
