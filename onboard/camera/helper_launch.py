@@ -8,27 +8,32 @@ import re
 import shlex
 import shutil
 import subprocess
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from contract.errors import ConfigError
 from contract.secrets import without_secrets
 from onboard.camera.helper_camera import Launch
-from onboard.config.schema import CameraConfig
+from onboard.config.schema import CameraConfig, Config
 
 EXEC, GST, LIBCAMERA, RTSP = "exec:", "gst:", "libcamera:", ("rtsp://", "rtspt://", "rtspu://", "rtsps://")
 URLS = ("udp://", "srt://", "http://", "https://")  # of streams and files that GStreamer opens by their address
 SYSTEM_PYTHON = "/usr/bin/python3"  # Debian's, which has GStreamer's bindings
 ASK_S = 20.0  # GStreamer looks through all its plugins when it is asked for the first time
 HELPER = Path(__file__).with_name("gstreamer_helper.py")
+BOX = Path(__file__).with_name("box.py")
+OF_THE_UNIT = ("STATE_DIRECTORY", "LOGS_DIRECTORY", "CONFIGURATION_DIRECTORY")
+"""Variables in which systemd names the unit's own folders: recordings, keys, what was learned."""
 IN_SOFTWARE = {"avdec_h264", "avdec_h265", "avdec_mjpeg", "avdec_mpeg4", "jpegdec", "openh264dec"}
 _SINK = re.compile(r"\w*sink\b")  # appsink, autovideosink, xvimagesink, fakesink, ...
 
 
-def helper_launch(config: CameraConfig, size_px: tuple[int, int]) -> Launch | None:
+def helper_launch(config: CameraConfig, size_px: tuple[int, int], closed: Sequence[str] = ()) -> Launch | None:
     """The program for a device that needs one; None for V4L2. Raises ConfigError where its form is wrong.
 
-    A program of the user's own gets size and rate in its environment.
+    Ours decodes what a network sends, in a box (box.py) from which what is `closed` cannot be read.
+    A program of the user's own gets size and rate in its environment, and no box.
     """
     device = config.device
     if device.startswith(EXEC):
@@ -36,13 +41,13 @@ def helper_launch(config: CameraConfig, size_px: tuple[int, int]) -> Launch | No
     asked: dict[str, Any] = {"width": size_px[0], "height": size_px[1], "rate_hz": config.rate_hz}
     asked["utc"] = config.stream_clock == "utc"
     if device.startswith(RTSP):
-        return gstreamer_launch({"kind": "rtsp", "location": device, **asked}, without_secrets(device))
+        return gstreamer_launch({"kind": "rtsp", "location": device, **asked}, without_secrets(device), closed)
     if device.startswith(LIBCAMERA):
         asked |= {"camera": device.removeprefix(LIBCAMERA), "exposure_us": config.exposure_us}
-        return gstreamer_launch({"kind": "libcamera", **asked}, device)
+        return gstreamer_launch({"kind": "libcamera", **asked}, device, closed)
     if device.startswith(URLS):
         pipeline = f"uridecodebin uri={json.dumps(device)}"
-        return gstreamer_launch({"kind": "gst", "pipeline": pipeline, **asked}, without_secrets(device))
+        return gstreamer_launch({"kind": "gst", "pipeline": pipeline, **asked}, without_secrets(device), closed)
     if device.startswith(GST):
         pipeline = device.removeprefix(GST).strip()
         if not pipeline:
@@ -53,7 +58,7 @@ def helper_launch(config: CameraConfig, size_px: tuple[int, int]) -> Launch | No
                 f"camera.device: the pipeline ends in {end.split()[0]!r}: leave that and the '!' before it out; "
                 "pictures are taken where the pipeline ends"
             )
-        return gstreamer_launch({"kind": "gst", "pipeline": pipeline, **asked}, without_secrets(device))
+        return gstreamer_launch({"kind": "gst", "pipeline": pipeline, **asked}, without_secrets(device), closed)
     if re.match(r"[a-z]+:", device):
         raise ConfigError(
             f"camera.device = {device!r} is none of /dev/NAME, {LIBCAMERA}ID, rtsp://HOST/PATH, "
@@ -62,10 +67,18 @@ def helper_launch(config: CameraConfig, size_px: tuple[int, int]) -> Launch | No
     return None
 
 
-def gstreamer_launch(spec: dict[str, Any], name: str) -> Launch:
+def private_paths(config: Config, environment: Mapping[str, str]) -> tuple[str, ...]:
+    """Return the files and folders that the decoder of strangers' video has no business in: keys, state, recordings."""
+    state = config.service.state_dir or str(Path.home() / ".local" / "state" / "pointclick")
+    named = (state, config.recording.folder, config.link.key, config.telemetry.signing_key)
+    of_the_unit = (path for name in OF_THE_UNIT for path in environment.get(name, "").split(":"))
+    return tuple(str(Path(path).absolute()) for path in (*named, *of_the_unit) if path)
+
+
+def gstreamer_launch(spec: dict[str, Any], name: str, closed: Sequence[str] = ()) -> Launch:
     """Our own helper with something to open; what is to be opened, which may hold a password, goes by its input."""
     environment = {"LIBCAMERA_LOG_LEVELS": "*:ERROR"}  # the last line printed is shown as the reason of an end
-    command = (SYSTEM_PYTHON, "-I", str(HELPER))
+    command = (SYSTEM_PYTHON, "-I", str(BOX), *closed, "--", SYSTEM_PYTHON, "-I", str(HELPER))
     return Launch(name, command, json.dumps(spec).encode(), environment, is_compressed=spec["kind"] != "libcamera")
 
 
