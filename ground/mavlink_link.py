@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import random
+import socket
 import time
 from types import TracebackType
 from typing import Any, Self
@@ -18,6 +20,20 @@ BEAT_S = 30.0  # between heartbeats: any packet of ours teaches the autopilot wh
 FIND_S = 10.0  # for a heartbeat of the vehicle
 TUNNEL_BYTES = 128
 CHUNK = 4096
+
+
+def _check_free(host: str, port: int) -> None:
+    """Raise LinkError where another program has the port: both would be let in, and only one of them receives."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.bind((host, port))
+        except OSError as error:
+            if error.errno == errno.EADDRINUSE:
+                raise LinkError(
+                    f"another program receives at UDP port {port}: end it, or have the radio's datagrams sent to a "
+                    "second port too (a ground station forwards MAVLink, mavlink-router has as many ends as are needed)"
+                ) from error
+            raise
 
 
 class NumberRefused(LinkError):
@@ -39,6 +55,8 @@ class MavlinkLink:
         e = endpoint
         self._place = f"{e.kind}:{e.host}:{e.port}"
         try:
+            if e.kind == "udpin":
+                _check_free(e.host, e.port)
             if e.kind == "serial":
                 self._wire: Any = mavutil.mavlink_connection(e.host, baud=e.port)
             else:

@@ -158,6 +158,15 @@ def test_a_ground_that_is_turned_away_says_what_it_would_have_hidden() -> None:
             link.ask(320.0, 240.0)
 
 
+def test_a_second_program_on_one_udp_port_is_refused() -> None:
+    endpoint = MavlinkEndpoint.parse(f"mavlink:udpin:127.0.0.1:{free_udp_port()}")
+    with MavlinkLink(endpoint):
+        with pytest.raises(LinkError, match=f"another program receives at UDP port {endpoint.port}") as refused:
+            MavlinkLink(endpoint)
+        assert "\n" not in str(refused.value)
+    MavlinkLink(endpoint).close()
+
+
 def test_no_one_there_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mavlink_link, "FIND_S", 0.2)
     with flying() as (radio, (aircraft,)):
