@@ -33,8 +33,9 @@ from onboard.argument_parser import (
     hours,
     is_output_lost,
     is_reader_gone,
-    moment,
     pair,
+    precise,
+    precise_moment,
     rate,
     seconds,
     speed,
@@ -212,7 +213,12 @@ def _add_imports(commands: Commands) -> None:
         formatter_class=AsWritten,
     )
     video.add_argument("video", type=Path, metavar="VIDEO", help="a video file, as the camera wrote it")
-    video.add_argument("--start", type=moment, metavar="TIME", help="when it began, in UTC, as 2026-06-12T10:15:23.4Z")
+    video.add_argument(
+        "--start",
+        type=precise_moment,
+        metavar="TIME",
+        help="when it began, in UTC, to as many digits as you know: 2026-06-12T10:15:23.4Z",
+    )
     _add_importing(video)
     video.set_defaults(run=run_import_video)
 
@@ -428,6 +434,13 @@ def _add_importing(command: argparse.ArgumentParser) -> None:
     )
     command.add_argument(
         "--utc-offset", type=hours, default=0.0, metavar="H", help="the camera's clock is so many hours ahead of UTC"
+    )
+    command.add_argument(
+        "--clock-offset",
+        type=precise,
+        metavar="S",
+        help="the camera's clock is so many seconds ahead of UTC, to as many digits as you know, or S+-SIGMA; else it "
+        "is searched over the log",
     )
     command.add_argument("--home-amsl-m", type=finite, metavar="M", help="as for replay")
 

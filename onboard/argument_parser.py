@@ -138,6 +138,26 @@ def hours(text: str) -> float:
     return within(text, -15.0, 15.0, "no number of hours from -15 to 15")
 
 
+def precise(text: str) -> tuple[float, float]:
+    """A number and one sigma of it: as in 12.4+-0.5, else one unit of its last digit."""
+    number, _, sigma = text.partition("+-")
+    value, one = finite(number), _last_digit(number) if not sigma else finite(sigma)
+    if one <= 0.0:
+        raise argparse.ArgumentTypeError(f"{text!r}: what follows +- is above 0")
+    return value, one
+
+
+def _last_digit(text: str) -> float:
+    """One unit of the last digit that a number of seconds is given to."""
+    digits = re.search(r"\.(\d+)", text)
+    return 1.0 if digits is None else float(10.0 ** -len(digits[1]))
+
+
+def precise_moment(text: str) -> tuple[int, float]:
+    """ISO 8601, UTC without a zone -> Unix ns, and one sigma (s): one unit of its last digit."""
+    return moment(text), _last_digit(text)
+
+
 def moment(text: str) -> int:
     """ISO 8601, UTC without a zone -> Unix ns."""
     try:

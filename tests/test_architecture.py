@@ -40,6 +40,7 @@ ARROWS: dict[str, set[str]] = {
     "onboard.pipeline": {"georeferencing", "estimation", "vision", "geometry", "navigation", "events", "config"},
     "onboard.tracks": {"geometry", "events"},
     "onboard.spots": {"events", "config"},
+    "onboard.clock": {"vision", "geometry", "navigation", "telemetry", "events", "config"},
     "onboard.link": {"events", "config"},
     "onboard.storage": {"events", "config", "estimation", "geometry"},
     "onboard.replay": {
@@ -48,7 +49,8 @@ ARROWS: dict[str, set[str]] = {
     "onboard.service": {"pipeline", "tracks", "spots", "storage", "events", "config"},
     "onboard.calibration": set(),
     "onboard.commands": {
-        "calibration", "camera", "config", "events", "link", "pipeline", "replay", "service", "storage", "telemetry",
+        "calibration", "camera", "clock", "config", "events", "link", "pipeline", "replay", "service", "storage",
+        "telemetry",
     },
     "onboard": {"commands", "config", "link"},  # __main__: arguments and exit codes
     "simulation": set(),

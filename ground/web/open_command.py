@@ -35,6 +35,7 @@ UNKNOWN = "NOT KNOWN"  # in the list that an import prints, of values that were 
 DONE, NOTHING_SOLVED = 0, 3
 PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 VIDEO_SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".ts", ".webm")
+IMPORT = "clock searched"  # how flights are imported now: one that was imported otherwise is not shown again
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -53,6 +54,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument("--start", metavar="TIME", help="when the video began, in UTC, as 2026-06-12T10:15:23.4Z")
     parser.add_argument("--utc-offset", metavar="H", help="the camera's clock is so many hours ahead of UTC")
+    parser.add_argument(
+        "--clock-offset", metavar="S",
+        help="the camera's clock is so many seconds ahead of UTC (12.4, or 12.4+-0.5); else searched over the log",
+    )  # fmt: skip
     parser.add_argument("--home-amsl-m", metavar="M", help="the take-off's height above the sea, for a .srt without it")
     parser.add_argument("--out", metavar="FLIGHT", type=Path, help="folder for the flight (default: with your pins)")
     opened_page.add_arguments(parser)
@@ -139,7 +144,7 @@ def _import_words(args: argparse.Namespace) -> list[str]:
         if args.input.is_dir():
             raise InputError("--start is of a video; photographs have their times in EXIF or name")
         words += ["--start", args.start]
-    for name in ("utc_offset", "home_amsl_m"):
+    for name in ("utc_offset", "clock_offset", "home_amsl_m"):
         value = getattr(args, name)
         words += [] if value is None else [f"--{name.replace('_', '-')}={value}"]
     return words
@@ -153,7 +158,7 @@ def _name(args: argparse.Namespace, importing: Sequence[str]) -> str:
     elif args.log is None:
         files += sorted(args.input.resolve().parent.iterdir())
     stats = [(str(path), path.stat().st_size, path.stat().st_mtime_ns) for path in files if path.is_file()]
-    digest = hashlib.sha256(repr((importing, stats)).encode()).hexdigest()
+    digest = hashlib.sha256(repr((IMPORT, importing, stats)).encode()).hexdigest()
     return f"{args.input.resolve().stem}-{digest[:8]}"
 
 

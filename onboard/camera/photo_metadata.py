@@ -54,6 +54,9 @@ class PhotoMetadata:
     height_is_barometric: bool = False  # a height in the standard atmosphere, as drones without RTK write it
     readout_s: float | None = None  # of a rolling shutter, all rows
     band: tuple[int, str] | None = None  # of a rig of cameras that expose together: number and name
+    stamp_is_utc: bool = False  # by a receiver's time, not by the camera's own clock
+    gps_ns: int | None = None  # a receiver's time of its last fix (UTC), to the second as most cameras write it
+    place_lacks_side: bool = False  # a latitude and longitude without what side of the equator and of Greenwich
 
 
 def read_photo(path: Path) -> PhotoMetadata:
@@ -73,6 +76,7 @@ def read_photo(path: Path) -> PhotoMetadata:
     model = f"{make} {kind}".strip()
     stamp_ns, is_whole_s = _stamp(details, xmp)
     lat_deg, lon_deg = _place(gps, xmp)
+    lacks_side = lat_deg is None and ExifTags.GPS.GPSLatitude in gps and not _has_sides(gps)
     height_m, is_ellipsoidal, is_barometric = _height(gps, xmp, make)
     north, east = number(xmp.get("FlightXSpeed")), number(xmp.get("FlightYSpeed"))
     return PhotoMetadata(
@@ -95,6 +99,9 @@ def read_photo(path: Path) -> PhotoMetadata:
         height_is_barometric=is_barometric,
         readout_s=_readout(xmp, full_size(details, size_px)),
         band=_band(xmp),
+        stamp_is_utc=bool(stamp_ns) and _utc_at_exposure(xmp) is not None,
+        gps_ns=_gps_time(gps),
+        place_lacks_side=lacks_side,
     )
 
 
@@ -116,14 +123,34 @@ def _sigma_horizontal(gps: Mapping[int, object], xmp: Mapping[str, str]) -> floa
 
 def _stamp(details: dict[int, object], xmp: Mapping[str, str]) -> tuple[int | None, bool]:
     """The exposure (Unix ns) and whether it is cut to the second: the XMP's UTC, else EXIF's."""
+    return _utc_at_exposure(xmp) or exif_moment(details)
+
+
+def _utc_at_exposure(xmp: Mapping[str, str]) -> tuple[int, bool] | None:
     utc = re.fullmatch(r"(\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d)(?:\.(\d{1,9}))?Z?", xmp.get("UTCAtExposure", ""))
-    if utc is not None:
-        try:
-            whole = datetime.fromisoformat(utc[1]).replace(tzinfo=UTC)
-            return int(whole.timestamp()) * 1_000_000_000 + int((utc[2] or "0").ljust(9, "0")), utc[2] is None
-        except ValueError:
-            pass
-    return exif_moment(details)
+    if utc is None:
+        return None
+    try:
+        whole = datetime.fromisoformat(utc[1]).replace(tzinfo=UTC)
+    except ValueError:
+        return None
+    return int(whole.timestamp()) * 1_000_000_000 + int((utc[2] or "0").ljust(9, "0")), utc[2] is None
+
+
+def _gps_time(gps: Mapping[int, object]) -> int | None:
+    """GPSDateStamp and GPSTimeStamp, which are UTC -> Unix ns."""
+    parts = gps.get(ExifTags.GPS.GPSTimeStamp)
+    text = str(gps.get(ExifTags.GPS.GPSDateStamp, "")).strip("\0 ")
+    if not isinstance(parts, tuple | list) or len(parts) != 3:
+        return None
+    hours, minutes, seconds = (number(part) for part in parts)
+    if hours is None or minutes is None or seconds is None:
+        return None
+    try:
+        day = datetime.strptime(text, "%Y:%m:%d").replace(tzinfo=UTC)
+    except ValueError:
+        return None
+    return int(day.timestamp()) * 1_000_000_000 + round((hours * 3600.0 + minutes * 60.0 + seconds) * 1e9)
 
 
 def _place(gps: Mapping[int, object], xmp: Mapping[str, str]) -> tuple[float | None, float | None]:
@@ -131,20 +158,34 @@ def _place(gps: Mapping[int, object], xmp: Mapping[str, str]) -> tuple[float | N
     lat = number(xmp.get("GpsLatitude", xmp.get("Latitude")))
     lon = number(xmp.get("GpsLongitude", xmp.get("GpsLongtitude", xmp.get("Longitude"))))
     if lat is None or lon is None:
-        lat = _sexagesimal(gps.get(ExifTags.GPS.GPSLatitude), gps.get(ExifTags.GPS.GPSLatitudeRef), "S")
-        lon = _sexagesimal(gps.get(ExifTags.GPS.GPSLongitude), gps.get(ExifTags.GPS.GPSLongitudeRef), "W")
+        lat = _sexagesimal(gps.get(ExifTags.GPS.GPSLatitude), gps.get(ExifTags.GPS.GPSLatitudeRef), "NS")
+        lon = _sexagesimal(gps.get(ExifTags.GPS.GPSLongitude), gps.get(ExifTags.GPS.GPSLongitudeRef), "EW")
     usable = lat is not None and lon is not None and abs(lat) <= 90.0 and abs(lon) <= 180.0
     return (lat, lon) if usable and (lat, lon) != (0.0, 0.0) else (None, None)
 
 
-def _sexagesimal(value: object, reference: object, negative: str) -> float | None:
-    if not isinstance(value, tuple | list) or len(value) != 3:
+def _side(reference: object, sides: str) -> str:
+    """The reference letter, of the positive side first; empty where it is neither."""
+    text = reference.decode("ascii", "replace") if isinstance(reference, bytes) else str(reference or "")
+    letter = text.strip("\0 ").upper()[:1]
+    return letter if letter in sides else ""
+
+
+def _has_sides(gps: Mapping[int, object]) -> bool:
+    of_lat, of_lon = gps.get(ExifTags.GPS.GPSLatitudeRef), gps.get(ExifTags.GPS.GPSLongitudeRef)
+    return bool(_side(of_lat, "NS") and _side(of_lon, "EW"))
+
+
+def _sexagesimal(value: object, reference: object, sides: str) -> float | None:
+    """Degrees; None also without a letter, which alone states the side of the equator or of Greenwich."""
+    side = _side(reference, sides)
+    if not side or not isinstance(value, tuple | list) or len(value) != 3:
         return None
     degrees, minutes, seconds = (number(part) for part in value)
     if degrees is None or minutes is None or seconds is None:
         return None
     angle = degrees + minutes / 60.0 + seconds / 3600.0
-    return -angle if str(reference).strip("\0 ").upper() == negative else angle
+    return -angle if side == sides[1] else angle
 
 
 def _height(gps: Mapping[int, object], xmp: Mapping[str, str], make: str) -> tuple[float | None, bool, bool]:

@@ -9,7 +9,7 @@ import itertools
 import math
 import shutil
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from contract.errors import InputError
@@ -18,6 +18,8 @@ from onboard.camera.file_stamps import read_stamps, spread_within_seconds, stamp
 from onboard.camera.photo_metadata import Focal, PhotoMetadata, read_photo
 from onboard.camera.picture_files import PICTURE_SUFFIXES
 from onboard.camera.rig_bands import one_band
+from onboard.clock.clock_search import Stated
+from onboard.commands.camera_clock import clock_of, clock_row, photographs
 from onboard.commands.flight_folder import LOG_SUFFIXES, log_of, next_to, picture_folder
 from onboard.commands.imported_flight import (
     SIGMA_GIMBAL_DEG,
@@ -26,17 +28,20 @@ from onboard.commands.imported_flight import (
     Optics,
     Row,
     check_out,
+    config_text,
     mount_by_log,
     optics_of,
     rolling_shutter,
     sections_of,
     settings_of,
+    shots_in_folder,
     system_of,
 )
+from onboard.config.schema import parse_config
 from onboard.replay.photo_telemetry import datum_sigma_m, gap_to_join_s, height_amsl, photo_telemetry
 from onboard.replay.runner import check_overlap
 from onboard.telemetry.log_files import read_log
-from onboard.telemetry.telemetry_log import TelemetryLog
+from onboard.telemetry.telemetry_log import NS_PER_S, TelemetryLog
 
 MIN_PHOTOS = 3
 STAMPS, CONFIG = "stamps.csv", "config.toml"  # of a flight's folder, next to its pictures or above them
@@ -44,7 +49,11 @@ SIGMA_READOUT_S = 0.003  # of a line's time that a picture states, times its row
 SIGMA_TAG_S = 0.1  # of the moment of a tagged position: receivers give five to ten a second
 WHOLE_SECOND_S = 0.29  # evenly within a second
 TURNED_BACK = 2.0  # steps that two legs in opposite directions differ by
-WITHIN_S = 0.01  # of stamps with fractions
+WITHIN_S = 0.01  # of a photograph's own position, which has its own time
+SIGMA_STAMP_S, HALF_NS = 0.03, 500_000_000  # of a stamp with fractions; of one cut to the second, on average
+SIGMA_FIX_S = 0.5  # by which the time of a receiver's last fix is before the exposure, or after it
+MOST_OF = 0.5  # of the photographs, that must state such a time
+SPREAD_S = 60.0  # of times of fixes against the camera's, beyond which they are not those of the exposures
 POSITION_FIELDS = ("unix_time_s", "lat_deg", "lon_deg", "height_amsl_m", "height_above_home_m")
 ANGLE_FIELDS = (
     *("roll_deg", "pitch_deg", "yaw_deg"),
@@ -64,6 +73,25 @@ class _Times:
     is_whole: bool  # cut to the second
     source: str
 
+    @property
+    def is_of_flight(self) -> bool:
+        """Whether they are a flight's own, made for its log."""
+        return self.source.endswith(STAMPS)
+
+    @property
+    def moments_ns(self) -> list[int]:
+        """The likeliest exposure: half a second after what was cut to the second."""
+        return [stamp_ns + HALF_NS * self.is_whole for stamp_ns in self.stamps_ns]
+
+    @property
+    def sigma_s(self) -> float:
+        """One sigma of a single stamp."""
+        return WHOLE_SECOND_S if self.is_whole else SIGMA_STAMP_S
+
+    def moved(self, offset_s: float) -> _Times:
+        """By a clock's offset."""
+        return replace(self, stamps_ns=[stamp_ns + round(offset_s * 1e9) for stamp_ns in self.stamps_ns])
+
 
 def run(arguments: argparse.Namespace) -> int:
     """Make the flight and print what was assumed. Everything is read and checked before anything is written."""
@@ -75,12 +103,26 @@ def run(arguments: argparse.Namespace) -> int:
     photos, times = _in_order(photos, arguments.utc_offset, next_to(folder, STAMPS))
     optics = optics_of(photos[0].size_px, _focal(photos), folder, settings)
     log_path, log = _log(arguments, folder, photos, times)
+    stated = _stated(photos, times, arguments.clock_offset)
     config = None if log is None else _config_in(arguments.folder, folder)
     if config is not None:
         sections, assumed = sections_of(config), [("configuration", f"{config}, nothing guessed")]
+    elif log is None:
+        times = times.moved(0.0 if stated is None else stated.offset_s)
+        sections, assumed = _by_photos(photos, times)
     else:
-        sections, assumed = _by_photos(photos, times) if log is None else _by_log(log, times)
+        sections, assumed = _by_log(log, times)
+    if config is None:
         assumed += _rows_of(photos[0], optics, sections)
+    if log is not None:
+        if config is None or not times.is_of_flight:
+            settled = parse_config(config_text(sections, settings))
+            pictures = photographs([folder / photo.name for photo in photos])
+            clock = clock_of(log, settled, optics.camera, times.moments_ns, times.sigma_s, pictures, stated)
+            times = times.moved(clock.offset_s)
+            sections.setdefault("camera", {})["sigma_latency_s"] = f"{clock.sigma_s:.3f}"
+            assumed.append(clock_row(clock))
+        check_overlap(times.stamps_ns, log)
     frames = out / "frames"
     flight = ImportedFlight(
         out, frames, log_path or out / "telemetry.csv", optics,
@@ -137,8 +179,29 @@ def _log(
             f"them: give a log of the flight ({', '.join(LOG_SUFFIXES)})"
         )
     log = read_log(path, home_amsl_m=arguments.home_amsl_m, system=system_of(settings_of(arguments.set)))
-    check_overlap(times.stamps_ns, log)
-    return path, log
+    return path, log if log.shots_ns else replace(log, shots_ns=shots_in_folder(folder))
+
+
+def _stated(photos: list[PhotoMetadata], times: _Times, given: tuple[float, float] | None) -> Stated | None:
+    """What the camera's clock is off by: as a person states, else by a receiver's time in the photographs."""
+    if given is not None:
+        return Stated(-given[0], math.hypot(given[1], WHOLE_SECOND_S * times.is_whole), "--clock-offset")
+    if times.is_of_flight:
+        return Stated(0.0, SIGMA_TAG_S, STAMPS)
+    if times.source == "EXIF" and all(photo.stamp_is_utc for photo in photos):
+        return Stated(0.0, SIGMA_TAG_S, "the pictures' UTC")
+    apart_s = sorted(
+        (photo.gps_ns + HALF_NS * (photo.gps_ns % NS_PER_S == 0) - moment_ns) / 1e9
+        for photo, moment_ns in zip(photos, times.moments_ns, strict=True)
+        if photo.gps_ns is not None
+    )
+    if len(apart_s) <= MOST_OF * len(photos):
+        return None
+    low_s, middle_s, high_s = (apart_s[round(share * (len(apart_s) - 1))] for share in (0.16, 0.5, 0.84))
+    spread_s = 0.5 * (high_s - low_s)
+    if spread_s > SPREAD_S:
+        return None
+    return Stated(middle_s, math.hypot(SIGMA_FIX_S, spread_s), "the GPS time in EXIF")
 
 
 def _photos(folder: Path) -> list[PhotoMetadata]:
@@ -219,6 +282,7 @@ def _focal(photos: list[PhotoMetadata]) -> Focal | None:
 def _by_log(log: TelemetryLog, times: _Times) -> tuple[dict[str, dict[str, str]], list[Row]]:
     """The configuration with a log of the flight, and what it assumes."""
     sections, mount = mount_by_log(log)
+    sections["camera"] = {}
     if times.is_whole:
         sections["camera"] = {"latency_s": "-0.5", "sigma_jitter_s": f"{WHOLE_SECOND_S}"}
     return sections, [mount]
@@ -269,9 +333,8 @@ def _positions_text(photos: list[PhotoMetadata]) -> str:
 
 def _times_text(times: _Times) -> str:
     apart_s = sorted((b - a) / 1e9 for a, b in itertools.pairwise(times.stamps_ns))
-    zone = "" if times.source.endswith(STAMPS) else "; without a zone taken as UTC"
     cut = "cut to the second, evenly spread within it" if times.is_whole else "with fractions of a second"
-    return f"of {times.source}, {cut}; {apart_s[len(apart_s) // 2]:.1f} s apart{zone}"
+    return f"of {times.source}, {cut}; {apart_s[len(apart_s) // 2]:.1f} s apart"
 
 
 def _telemetry_table(photos: list[PhotoMetadata], times: _Times) -> str:

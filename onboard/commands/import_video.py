@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import math
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -15,22 +16,28 @@ from onboard.camera.file_stamps import stamp_from_name
 from onboard.camera.photo_lens import FULL_FRAME_DIAGONAL_MM
 from onboard.camera.photo_metadata import Focal
 from onboard.camera.video_times import creation_ns, frame_times_s, rate_text
+from onboard.clock.clock_search import Stated
+from onboard.commands.camera_clock import clock_of, clock_row, frames
 from onboard.commands.flight_folder import LOG_SUFFIXES, log_in_folder
 from onboard.commands.imported_flight import (
     ImportedFlight,
     check_out,
+    config_text,
     mount_by_log,
     optics_of,
     rolling_shutter,
     settings_of,
     system_of,
 )
+from onboard.config.schema import parse_config
 from onboard.replay.runner import check_overlap
 from onboard.telemetry.log_files import read_log
-from onboard.telemetry.telemetry_log import TelemetryLog
+from onboard.telemetry.telemetry_log import NS_PER_S, TelemetryLog
 
 RATE_HZ = 5.0  # pictures taken out of a faster video: enough for the window, and for a person to look through
-SIGMA_BEGAN_S = 1.0  # of a beginning that a file gives to the second
+CUT_S = (0.5, 0.29)  # by which a beginning cut to the second is too early, and one sigma of that
+SIGMA_FRAME_S = 0.01  # of a frame's time against the others'
+START = ", or when the video began, --start TIME"
 # A video's frame is the sensor's whole width or a part as high as it is wide; the equivalent holds for a photograph.
 # Between both interpretations, and to either.
 SIGMA_VIDEO_EQUIVALENT = 0.06
@@ -39,11 +46,11 @@ _FOCAL = re.compile(r"\[focal_len\s*:\s*(\d+(?:\.\d+)?)\]", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class _Beginning:
-    """When the video began, the source of that, and one sigma where it is a guess."""
+    """When the video began by the source of that, and what is known of its clock."""
 
     unix_ns: int
     source: str
-    is_rough: bool
+    stated: Stated | None = None
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -63,13 +70,22 @@ def run(arguments: argparse.Namespace) -> int:
     if not times_s:
         raise InputError(f"{video}: no time stamps on its frames: give replay --stamps with index,unix_time_s")
     began = _beginning(video, log, arguments)
-    stamps_ns = [began.unix_ns + round(time_s * 1e9) for time_s in times_s]
-    check_overlap(stamps_ns, log)
     optics = optics_of(size_px, _focal(log_path, size_px), video.parent, settings)
     sections, mount = mount_by_log(log)
-    if began.is_rough:  # cut to the second: half of one late on average
-        sections["camera"] = {"latency_s": "-0.5", "sigma_latency_s": f"{SIGMA_BEGAN_S}"}
     rows = rolling_shutter(sections)
+    moments_ns = [began.unix_ns + round(time_s * 1e9) for time_s in times_s]
+    assumed = [mount, rows]
+    if log.video_epoch_ns is None:
+        config = parse_config(config_text(sections, settings))
+        pictures = frames(video, times_s)
+        clock = clock_of(
+            replace(log, shots_ns=()), config, optics.camera, moments_ns, SIGMA_FRAME_S, pictures, began.stated, START
+        )
+        began = replace(began, unix_ns=began.unix_ns + round(clock.offset_s * 1e9))
+        sections["camera"] |= {"sigma_latency_s": f"{clock.sigma_s:.3f}"}
+        assumed.append(clock_row(clock))
+    stamps_ns = [began.unix_ns + round(time_s * 1e9) for time_s in times_s]
+    check_overlap(stamps_ns, log)
     flight = ImportedFlight(arguments.out, video, log_path, optics, ["index,unix_time_s"], sections)
     flight.stamps += [f"{index},{stamp / 1e9:.6f}" for index, stamp in enumerate(stamps_ns)]
     is_thinned = (len(times_s) - 1) / max(times_s[-1], 1e-3) > 1.1 * RATE_HZ
@@ -78,8 +94,7 @@ def run(arguments: argparse.Namespace) -> int:
         ("times", f"the frames' own, from {_utc(began.unix_ns)}: {began.source}"),
         ("camera", optics.text),
         ("log", f"{log_path}"),
-        mount,
-        rows,
+        *assumed,
     ]
     flight.replay = ["--rate", f"{RATE_HZ:g}"] if is_thinned else []
     if arguments.home_amsl_m is not None:
@@ -105,15 +120,19 @@ def _size(video: Path) -> tuple[int, int]:
 def _beginning(video: Path, log: TelemetryLog, arguments: argparse.Namespace) -> _Beginning:
     """Of subtitles their own, else as it was given, in the name, or in the file. Raises InputError."""
     if log.video_epoch_ns is not None:
-        return _Beginning(log.video_epoch_ns, "as the subtitles count", False)
+        return _Beginning(log.video_epoch_ns, "as the subtitles count")
     if arguments.start is not None:
-        return _Beginning(arguments.start, "as given", False)
+        start_ns, sigma_s = arguments.start
+        return _Beginning(start_ns, "as given", Stated(0.0, sigma_s, "--start"))
     offset_ns = round(arguments.utc_offset * 3600e9)
     for found, source in ((stamp_from_name(video.name), "its name"), (creation_ns(video), "the file's creation time")):
         if found is not None:
-            is_rough = found % 1_000_000_000 == 0
-            how = ", to the second (+-1 s, estimated in flight)" if is_rough else ""
-            return _Beginning(found - offset_ns, f"{source}{how}, taken as UTC; else give --start", is_rough)
+            stated = None
+            if arguments.clock_offset is not None:
+                ahead_s, sigma_s = arguments.clock_offset
+                late_s, cut_s = CUT_S if found % NS_PER_S == 0 else (0.0, 0.0)
+                stated = Stated(late_s - ahead_s, math.hypot(sigma_s, cut_s), "--clock-offset")
+            return _Beginning(found - offset_ns, f"{source} and its clock", stated)
     raise InputError(f"{video}: nothing states when it began: give --start, in UTC, as 2026-06-12T10:15:23.4Z")
 
 

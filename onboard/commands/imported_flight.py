@@ -19,6 +19,7 @@ from onboard.camera.photo_metadata import Focal
 from onboard.commands.flight_folder import next_to
 from onboard.config.schema import Config, parse_config, to_toml, validated
 from onboard.events.types import Attitude, GimbalAttitude
+from onboard.telemetry.mrk_reader import read_mrk
 from onboard.telemetry.telemetry_log import TelemetryLog
 
 # One sigma of what is not stated: where the optical axis meets a sensor (share of its width), how straight a lens for
@@ -238,6 +239,12 @@ def _toml(value: object) -> str:
     if isinstance(value, list):
         return "[" + ", ".join(_toml(each) for each in value) + "]"
     return json.dumps(value) if isinstance(value, str | bool) else repr(value)
+
+
+def shots_in_folder(folder: Path) -> tuple[int, ...]:
+    """When DJI's timestamp file (.MRK) next to photographs states that they were taken (Unix ns); empty without one."""
+    found = sorted(entry for entry in folder.iterdir() if entry.suffix.lower() == ".mrk" and entry.is_file())
+    return tuple(sorted(shot for path in found for shot in read_mrk(path)))
 
 
 def mount_by_log(log: TelemetryLog) -> tuple[dict[str, dict[str, str]], Row]:

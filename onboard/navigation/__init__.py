@@ -2,8 +2,8 @@
 
 Public:
 
-- `attitude_interpolation`: `RATE_WINDOW_NS`
-- `gimbal`: `MountHypothesis`
+- `attitude_interpolation`: `Attitudes`, `Orientation`, `RATE_WINDOW_NS`
+- `gimbal`: `Gimbal`, `MountHypothesis`
 - `limits`: `MEMORY_NS`, `LATE_NS`, `RECENT_NS`, `PATIENCE_NS`, `LONG_NS`, `LIKELY_SIGMAS`, `SURE_SIGMAS`,
   `FALSE_ALARM`, `CLEAR`, `MOST_OF`
 - `navigator`: `NavState`, `Navigation`

@@ -29,8 +29,12 @@ def photo_telemetry(photos: list[PhotoMetadata], stamps_ns: list[int], undulatio
     without = [photo.name for photo in photos if photo.lat_deg is None or photo.height_amsl_m is None]
     if without:
         more = f" and {len(without) - 1} more" if len(without) > 1 else ""
+        sideless = any(photo.place_lacks_side for photo in photos if photo.name == without[0])
+        side = (
+            " (it lacks the letters N or S, E or W, without which it may be on any of four sides)" if sideless else ""
+        )
         raise InputError(
-            f"telemetry exif: no GPS position with a height in {without[0]}{more}; "
+            f"telemetry exif: no GPS position with a height in {without[0]}{side}{more}; "
             "give a log of the flight instead (.bin, .tlog, .ulg, .srt, .csv)"
         )
     is_timed = not any(photo.stamp_is_whole_s for photo in photos)

@@ -1,6 +1,7 @@
 """ArduPilot's own log (DataFlash, .bin) -> events. Its filter's outputs serve as the same autopilot's MAVLink messages
 do: POS as GLOBAL_POSITION_INT (its velocity from XKF1 or NKF1), ATT as ATTITUDE, GPS and GPA as GPS_RAW_INT, XKF4 as
-EKF_STATUS_REPORT, MNT as the gimbal's attitude, RFND as DISTANCE_SENSOR. Logs from before `TimeUS` (2014 to spring
+EKF_STATUS_REPORT, MNT as the gimbal's attitude, RFND as DISTANCE_SENSOR, CAM or TRIG as
+CAMERA_FEEDBACK. Logs from before `TimeUS` (2014 to spring
 2015) have milliseconds, the first filter (EKF1, EKF4) and often no POS.
 
 A simulator's log also holds the truth (SIM, SIM2): never read here.
@@ -40,6 +41,8 @@ FIELDS = {
     "KF4": ("SS",),
     "RFND": ("Dist", "Orient", "Stat"),
     "MNT": ("Roll", "Pitch", "YawB"),
+    "CAM": ("GWk",),
+    "TRIG": ("GWk",),
 }
 # What a field was called before, in the order in which the names are looked for.
 FORMERLY = {"GMS": ("GPSTimeMS", "TimeMS"), "GWk": ("Week",), "RelHomeAlt": ("RelAlt",)}
@@ -108,7 +111,10 @@ def read_dataflash(path: Path | str, clock: Mode = "auto") -> TelemetryLog:
     ]
     if not any(isinstance(event, PositionFix) for event in events):
         raise InputError(f"telemetry {path}: no position in it (POS, or GPS with a 3D fix)")
-    return TelemetryLog.by_stamp(events, gps_clock.segments)
+    # CAM is the camera's own report where it gives one; TRIG is then what asked for it.
+    shots = tables["CAM"] if len(tables["CAM"]) else tables["TRIG"]
+    shots_ns = tuple(gps_clock.to_unix_ns(us * 1000) for us in shots.boot_us.tolist())
+    return replace(TelemetryLog.by_stamp(events, gps_clock.segments), shots_ns=shots_ns)
 
 
 def _tables(path: Path | str) -> dict[str, _Table]:

@@ -27,7 +27,7 @@ class TelemetryLog:
     `system` is the vehicle's MAVLink system number, 0 where the format has none; `boot_segments` how often its clock
     began. `video_epoch_ns`: when the video began that the log was written with, if it was written with one.
     `digital_zoom`: from which moment on the camera enlarged its pictures, and how often. `notes`: what the operator
-    should know of how the log was read, one line each.
+    should know of how the log was read, one line each. `shots_ns`: when a camera's shutter was triggered or reported.
     """
 
     events: list[NavEvent]
@@ -37,6 +37,7 @@ class TelemetryLog:
     video_epoch_ns: int | None = None
     digital_zoom: tuple[tuple[int, float], ...] = ()
     notes: tuple[str, ...] = ()
+    shots_ns: tuple[int, ...] = ()
 
     @classmethod
     def by_stamp(cls, events: Iterable[NavEvent], boot_segments: int = 1) -> TelemetryLog:

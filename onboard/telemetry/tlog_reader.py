@@ -35,8 +35,10 @@ from onboard.telemetry.telemetry_log import TelemetryLog
 from onboard.telemetry.vehicle_choice import KEY, is_autopilot, kind_of
 
 REPORTS = {*GIMBAL_EVENTS, *ZOOM_EVENTS}  # by gimbals and cameras for themselves
+READ = {*WANTED, mavlink.MAVLINK_MSG_ID_CAMERA_FEEDBACK}
 FAR_NS = 5_000_000_000
 IN_PASSING = 0.1  # of the most heartbeats that a vehicle has: another with fewer was met
+SINCE_1970_US = 10**15  # from which on microseconds count from there, not from the boot
 
 
 def read_tlog(path: Path | str, clock: Mode = "auto", gimbal: int = 0, chosen: int = 0) -> TelemetryLog:
@@ -61,7 +63,16 @@ def read_tlog(path: Path | str, clock: Mode = "auto", gimbal: int = 0, chosen: i
     choice = GimbalChoice(gimbal)
     merged = heapq.merge(found, *of_gimbals, key=lambda each: each[0])
     kept = [(t, e) for t, e, message in merged if message.get_type() not in GIMBAL_EVENTS or choice.takes(message, t)]
-    return TelemetryLog([e for _, e in kept], [t for t, _ in kept], system, segments)
+    return TelemetryLog([e for _, e in kept], [t for t, _ in kept], system, segments, shots_ns=_shots(own))
+
+
+def _shots(own: list[tuple[int, Any]]) -> tuple[int, ...]:
+    """When a camera was triggered (CAMERA_FEEDBACK, on UTC), on the log's clock: by the least delayed UTC in it."""
+    ahead_ns = [t - m.time_unix_usec * 1000 for t, m in own if m.get_type() == "SYSTEM_TIME" and m.time_unix_usec]
+    shots = {m.time_usec: t for t, m in own if m.get_type() == "CAMERA_FEEDBACK"}
+    return tuple(
+        us * 1000 + min(ahead_ns) if us > SINCE_1970_US and ahead_ns else arrival_ns for us, arrival_ns in shots.items()
+    )
 
 
 def _events(own: list[tuple[int, Any]], sources: Sources, clock: Mode) -> tuple[list[tuple[int, NavEvent, Any]], int]:
@@ -148,7 +159,7 @@ def _decoded(data: bytes) -> Iterator[tuple[int, Any]]:
         after = position + 8 + length
         message = None
         # An unwanted packet is accepted by its framing alone; a wanted one, by its checksum.
-        if message_id in WANTED:
+        if message_id in READ:
             try:
                 message = decoder.decode(bytearray(data[position + 8 : after]))
             except (mavlink.MAVError, struct.error):

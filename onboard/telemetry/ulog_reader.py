@@ -39,6 +39,8 @@ TOPICS = [
     "gimbal_device_attitude_status",
     "distance_sensor",
     "home_position",
+    "camera_capture",
+    "camera_trigger",
 ]
 MAX_GAP_S = 0.3  # over which velocities and rates are interpolated
 FIX = 3
@@ -129,7 +131,7 @@ def read_ulog(path: Path | str, clock: Mode = "auto", boot_unix_s: float | None 
         raise InputError(
             f"telemetry {path}: no position in it (vehicle_global_position, or vehicle_gps_position with a 3D fix)"
         )
-    return TelemetryLog.by_stamp(events, gps_clock.segments)
+    return replace(TelemetryLog.by_stamp(events, gps_clock.segments), shots_ns=_shots(topics, gps_clock))
 
 
 def _topics(path: Path | str) -> dict[str, _Topic]:
@@ -293,6 +295,14 @@ def _filter_statuses(topic: _Topic, local: _Topic, clock: GpsClock) -> list[NavE
             )
         )
     return out
+
+
+def _shots(topics: dict[str, _Topic], clock: GpsClock) -> tuple[int, ...]:
+    """When pictures were taken, as the camera reported, else as it was triggered."""
+    reported, triggered = topics["camera_capture"], topics["camera_trigger"]
+    taken = reported.column("result", unknown=1.0) > 0
+    boot_us = reported.boot_us[taken] if taken.any() else triggered.boot_us
+    return tuple(clock.to_unix_ns(us * 1000) for us in boot_us.tolist())
 
 
 def _gimbal(topic: _Topic, clock: GpsClock) -> list[NavEvent]:

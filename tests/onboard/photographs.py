@@ -41,6 +41,7 @@ class Style:
     rtk: bool = False
     offset_m: tuple[float, float, float] = (0.8, -0.6, 12.0)  # east, north, up: of all positions
     white_m: float = 0.2
+    gps_time_s: float | None = None  # by which a receiver's time in EXIF differs from the camera's
 
 
 def write_photographs(session: Path, out: Path, style: Style, seed: int = 0) -> None:
@@ -61,6 +62,12 @@ def write_photographs(session: Path, out: Path, style: Style, seed: int = 0) -> 
         details |= _lens(camera, style, attributes)
         if style.gps:
             exif._ifds[ExifTags.IFD.GPSInfo] = _gps(float(lat), float(lon), float(height))
+        if style.gps_time_s is not None:
+            moment = datetime.fromtimestamp(float(row["unix_time_s"]) + style.gps_time_s, UTC)
+            exif._ifds[ExifTags.IFD.GPSInfo] |= {
+                ExifTags.GPS.GPSDateStamp: moment.strftime("%Y:%m:%d"),
+                ExifTags.GPS.GPSTimeStamp: (moment.hour, moment.minute, moment.second),
+            }
         if style.gps and style.angles:
             attributes |= {"GpsLatitude": f"{lat:+.9f}", "GpsLongitude": f"{lon:+.9f}"}
             attributes |= {"AbsoluteAltitude": f"{height:+.2f}", "RelativeAltitude": f"{height - 112.0:+.2f}"}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import shutil
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -12,14 +13,17 @@ import pytest
 from PIL import ExifTags, Image
 
 from contract.camera import Camera
+from contract.errors import InputError
 from ground.__main__ import main as ground
 from ground.formats import table
 from ground.recording import Recording
 from onboard.__main__ import main
+from onboard.camera.file_stamps import stamp_from_name
 from onboard.camera.photo_metadata import read_photo
 from onboard.config.files import load_config_files
 from onboard.config.schema import parse_config
 from onboard.events.types import Attitude, GimbalAttitude, PositionFix
+from onboard.replay.photo_telemetry import photo_telemetry
 from onboard.replay.runner import Flight
 from simulation.flight import DescribedSpec
 from simulation.paths import PathSpec
@@ -221,7 +225,29 @@ def test_pictures_named_by_utc_are_a_flight_with_the_log_and_the_camera_file_nex
     assert "18 of" in printed and "of the names, with fractions" in printed and "cmac_2018/telemetry.tlog" in printed
     assert Camera.from_json(tmp_path / "flight" / "camera.json") == Camera.from_json(real / "camera.json")
     stamps = (tmp_path / "flight" / "stamps.csv").read_text().splitlines()
-    assert stamps[1] == "2018080501004480Z.jpg,1533430844.800000" and len(stamps) == 19
+    # The names were given some time after the exposure, by the pictures' own motion.
+    name, first_s = stamps[1].split(",")
+    assert name == "2018080501004480Z.jpg" and len(stamps) == 19
+    assert -0.4 < float(first_s) - 1533430844.8 < -0.1
+
+
+@pytest.mark.parametrize("ahead_s", rest_long([10.0, -300.0, -5.0, 1.0, 300.0]))
+def test_a_camera_s_clock_that_is_off_moves_no_picture(shared_data: Path, tmp_path: Path, ahead_s: float) -> None:
+    """10 s ahead put 22 clicks 89 to 103 m off with an ellipse of 11 m, and no word of it."""
+    real, folder = shared_data / "cmac_2018", tmp_path / "photos"
+    folder.mkdir()
+    for photo_ in sorted((real / "frames").iterdir()):
+        taken_ns = stamp_from_name(photo_.name)
+        assert taken_ns is not None
+        shown = datetime.fromtimestamp(taken_ns / 1e9 + ahead_s, UTC)
+        (folder / f"{shown:%Y%m%d%H%M%S}{shown.microsecond // 1000:03d}Z.jpg").symlink_to(photo_)
+    shutil.copyfile(real / "camera.json", folder / "camera.json")
+    words = ["--telemetry", str(real / "telemetry.tlog"), "--out", str(tmp_path / "flight")]
+    assert main(["import-photos", str(folder), *words]) == 0
+    stamps = (tmp_path / "flight" / "stamps.csv").read_text().splitlines()
+    assert float(stamps[1].split(",")[1]) == pytest.approx(1533430844.54, abs=0.1)
+    config = load_config_files(tmp_path / "flight" / "config.toml")
+    assert 0.03 < config.camera.sigma_latency_s < 0.1
 
 
 @pytest.mark.parametrize(
@@ -289,7 +315,7 @@ def test_a_camera_of_which_nothing_is_known_and_a_log_in_the_folder(
     assert outcome.inside_99 >= 0.97, outcome.reported
 
 
-def test_a_clock_that_showed_a_local_time_is_named_and_corrected(
+def test_a_clock_that_nothing_ties_is_refused_by_that_name_until_it_is_stated(
     session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write_photographs(session, tmp_path / "photos", Style(gps=False, angles=False, focal="plane"))
@@ -302,9 +328,13 @@ def test_a_clock_that_showed_a_local_time_is_named_and_corrected(
     log.write_text("\n".join(lines))
     command = ["import-photos", str(tmp_path / "photos"), "--telemetry", str(log), "--out", str(tmp_path / "flight")]
     assert main(command) == 2
-    err = capsys.readouterr().err
-    assert "do not overlap" in err and "--utc-offset 5.5" in err and err.count("\n") == 1
-    assert main([*command, "--utc-offset", "5.5"]) == 0
+    err = capsys.readouterr().err  # a log that stands still shows no offset at all
+    assert "error: clock: " in err and "--clock-offset" in err and err.count("\n") == 1
+    assert main([*command, "--utc-offset", "5.5"]) == 2
+    assert main([*command, "--utc-offset", "5.5", "--clock-offset", "0.0"]) == 0
+    assert load_config_files(tmp_path / "flight" / "config.toml").camera.sigma_latency_s == pytest.approx(
+        0.11, abs=0.01
+    )
 
 
 # ---------------------------------------------------------------- single photographs
@@ -379,6 +409,32 @@ def test_south_west_and_below_the_sea(tmp_path: Path) -> None:
               GPSLongitude=(7.0, 30.0, 0.0), GPSAltitudeRef=b"\x01", GPSAltitude=3.5)
     )  # fmt: skip
     assert (read.lat_deg, read.lon_deg, read.height_amsl_m) == pytest.approx((-43.38, -7.5, -3.5))
+
+
+def test_a_place_without_letters_is_no_place(shared_data: Path, tmp_path: Path) -> None:
+    """It was taken for north and east, 75 degrees from where it was."""
+    read = read_photo(shared_data / "people_bring" / "noref.jpg")
+    assert (read.lat_deg, read.lon_deg) == (None, None) and read.place_lacks_side
+    with pytest.raises(InputError, match="lacks the letters N or S, E or W"):
+        photo_telemetry([read], [0], None)
+    one = read_photo(photo(tmp_path, GPSLatitudeRef="S", GPSLatitude=(43.0, 22.0, 48.0), GPSLongitude=(7.0, 30.0, 0.0)))
+    assert (one.lat_deg, one.lon_deg) == (None, None) and one.place_lacks_side
+
+
+def test_a_receiver_s_time_in_exif_is_read(shared_data: Path) -> None:
+    read = read_photo(shared_data / "people_bring" / "gpstime.jpg")
+    assert read.gps_ns is not None and read.stamp_ns is not None and read.lat_deg == pytest.approx(-33.8667, abs=1e-3)
+    assert (read.gps_ns - read.stamp_ns) / 1e9 == pytest.approx(3 * 3600 + 59 * 60 + 45, abs=1.1)
+
+
+def test_a_receiver_s_time_goes_before_the_camera_s_clock(session: Path, tmp_path: Path) -> None:
+    """Without a log it moves the stamps; half a second of one cut to the second is its expectation."""
+    write_photographs(session, tmp_path / "photos", Style(gps_time_s=-13.2))
+    assert main(["import-photos", str(tmp_path / "photos"), "--out", str(tmp_path / "flight")]) == 0
+    with (tmp_path / "flight" / "stamps.csv").open() as stream, (session / "truth.csv").open() as truth:
+        pairs = zip(csv.DictReader(stream), csv.DictReader(truth), strict=True)
+        off_s = [float(one["unix_time_s"]) - float(other["unix_time_s"]) for one, other in pairs]
+    assert np.ptp(off_s) < 2e-3 and off_s[0] == pytest.approx(-13.2, abs=0.5)
 
 
 @pytest.mark.parametrize(

@@ -29,6 +29,7 @@ SECONDS = 12.0
 LAT, LON, HOME_M, ABOVE_M = -43.38, 172.4, 350.0, 100.0
 SPEED = 20.0
 METRES_A_DEGREE = 111_132.0
+SHUTTER_S, UTC_BEHIND_S = 0.1, 3.0  # after what asked for it; of a .tlog's UTC, behind the clock that stamped it
 GPS_LAG_S = 0.12  # what readers assume where a straight flight shows none
 
 
@@ -82,6 +83,12 @@ def tlog() -> bytes:
             600, 0, 0, 0))  # fmt: skip
         send(m.t, mavlink.MAVLink_heartbeat_message(1, 3, 0, 0, 4, 3))
         send(m.t, mavlink.MAVLink_ekf_status_report_message(0b1100111111, 0, 0, 0, 0, 0))
+    for m in moments(1):
+        # By UTC, from which this log's own clock differs.
+        boot_ms, unix_us = round((BOOT_S + m.t) * 1000), round((T0_S - UTC_BEHIND_S + m.t) * 1e6)
+        send(m.t, mavlink.MAVLink_system_time_message(unix_us, boot_ms))
+        shot = (unix_us + round(SHUTTER_S * 1e6), 1, 0, 7, 0, 0, 0, 0, 0, 0, 0, 0, 0)
+        send(m.t + 0.3, mavlink.MAVLink_camera_feedback_message(*shot))
     return b"".join(data for _, data in sorted(out, key=lambda item: item[0]))
 
 
@@ -112,6 +119,8 @@ KINDS = {  # name: format, columns
     "SIM": ("QLL", "TimeUS,Lat,Lng"),
     "RFND": ("QBfBB", "TimeUS,Instance,Dist,Stat,Orient"),
     "MNT": ("QBfff", "TimeUS,I,Roll,Pitch,YawB"),
+    "CAM": ("QBH", "TimeUS,I,Img"),
+    "TRIG": ("QBH", "TimeUS,I,Img"),
 }
 KINDS["GPS"] = ("QBBIHBLLffff", "TimeUS,I,Status,GMS,GWk,NSats,Lat,Lng,Alt,Spd,GCrs,VZ")
 del KINDS["GPSL"]
@@ -169,6 +178,9 @@ def dataflash_log(gimbal: bool = False) -> Dataflash:
         late = m.t + GPS_LAG_S
         log.add("GPS", late, 0, 3, ms, week, 12, m.lat, LON, HOME_M + ABOVE_M, SPEED, 0.0, 0.0)
         log.add("GPA", late, 0, 1.0, 0.4, 0.6, 0.1, HOME_M + ABOVE_M + 11.0)
+    for m in moments(1):
+        log.add("TRIG", m.t, 0, 7)
+        log.add("CAM", m.t + SHUTTER_S, 0, 7)
     return log
 
 
@@ -190,6 +202,7 @@ TOPICS: dict[str, tuple[tuple[str, str], ...]] = {
         ("float", "s_variance_m_s"), ("uint8_t", "fix_type"), ("uint8_t", "satellites_used"),
     ),
     "estimator_status": (("uint16_t", "solution_status_flags"),),
+    "camera_capture": (("uint64_t", "timestamp_utc"), ("uint8_t", "result")),
     "home_position": (("float", "alt"), ("uint8_t", "valid_alt")),
     "gimbal_device_attitude_status": (("float[4]", "q"), ("uint16_t", "device_flags")),
 }  # fmt: skip
@@ -204,6 +217,10 @@ def _ulog_rows(gimbal: bool, has_utc: bool) -> Iterator[tuple[float, str, tuple[
         yield m.t, "vehicle_global_position", (m.lat, LON, HOME_M + ABOVE_M)
         if gimbal:
             yield m.t, "gimbal_device_attitude_status", (*_quaternion(0.0, -90.0, 40.0), 64)  # yaw against north
+    for m in moments(1):
+        utc_us = round((T0_S + m.t + SHUTTER_S) * 1e6)
+        yield m.t + SHUTTER_S, "camera_capture", (utc_us, 1)
+        yield m.t + 2.0 * SHUTTER_S, "camera_capture", (utc_us, 0)  # one that failed
     for m in moments(5):
         height, utc = HOME_M + ABOVE_M, round((T0_S + m.t) * 1e6) if has_utc else 0
         gps = m.lat, LON, height, height + 11.0, utc, 0.4, 0.6, 0.1, 3, 12

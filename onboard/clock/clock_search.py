@@ -1,0 +1,177 @@
+"""By how much a camera's clock and a log's differ: found over the whole log, or refused. (28.7), (28.8)
+
+Photographs, videos and beginnings that a person states are one question here: moments by the camera's clock, what is
+stated of it beforehand, how the pictures move, and which shots the autopilot has recorded.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from onboard.clock.log_track import LogTrack
+from onboard.clock.motion_cost import MotionCost, MotionNoise
+from onboard.clock.picture_pairs import Pairs
+from onboard.clock.shot_cost import shot_cost
+from onboard.geometry.robust import median_chi2
+from onboard.navigation.limits import CLEAR, MOST_OF
+
+Array = NDArray[np.float64]
+
+STEP_S, FINE_S = 0.1, 0.02  # of the offsets compared, everywhere and about the best
+NEAR_S = 1.0  # within which two offsets are the same minimum
+RESOLVED_S = 0.05  # one sigma, at least: of delays in the log and of its sampling
+WIDEST_S = 1.1  # one sigma at most that the flight itself can resolve
+REACH_S = 15.0 * 3600.0  # of clocks: any zone
+ASTRAY = 1e-3  # how likely what is stated is wrong altogether
+COARSE_PAIRS, KEPT = 40, 400  # in a first pass over all offsets, and how many of them all pairs judge then
+MISFIT = 6.0  # times the variance expected, from which on a log is not that of the pictures
+
+
+@dataclass(frozen=True)
+class Stated:
+    """What was stated of the offset (s, to be added to the camera's time), one sigma, and by what."""
+
+    offset_s: float
+    sigma_s: float
+    source: str
+
+
+@dataclass(frozen=True)
+class Clock:
+    """The offset (s) to add to the camera's time, one sigma, and how it was found."""
+
+    offset_s: float
+    sigma_s: float
+    text: str
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """No offset can be answered for: why, for people."""
+
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What is known: the log's path, the pictures' moments (ns) with one sigma (s) of each, motion, shots."""
+
+    track: LogTrack
+    moments_ns: Sequence[int]
+    stamp_sigma_s: float
+    pairs: Pairs
+    noises: Sequence[MotionNoise]  # that may be true; the likeliest is taken
+    shots_ns: Sequence[int] = ()
+
+
+def search(evidence: Evidence, stated: Stated | None) -> Clock | Unknown:
+    """The offset by all evidence, or why there is none."""
+    offsets_s = _offsets(evidence, stated)
+    if not len(offsets_s):
+        return Unknown("no offset puts the pictures into the time of the log")
+    tried = [_Cost(evidence, noise, stated) for noise in evidence.noises]
+    everywhere = [cost.everywhere(offsets_s) for cost in tried]
+    likeliest = int(np.argmin([costs.min() for costs in everywhere]))
+    cost, costs = tried[likeliest], everywhere[likeliest]
+    best_s = float(offsets_s[np.argmin(costs)])
+    reach_s = NEAR_S if stated is None else max(NEAR_S, 4.0 * stated.sigma_s)
+    fine_s = best_s + np.arange(-reach_s, reach_s + FINE_S / 2, FINE_S)
+    fine, square = cost.of(fine_s)
+    dispersion = _dispersion(square[int(np.argmin(fine))])
+    likely = np.exp(-0.5 * (fine - fine.min()) / dispersion)
+    mean_s = float(np.average(fine_s, weights=likely))
+    sigma_s = float(np.sqrt(np.average(np.square(fine_s - mean_s), weights=likely) + RESOLVED_S**2))
+    far = np.abs(offsets_s - mean_s) > reach_s
+    rival = float(np.min(costs[far], initial=np.inf))
+    if stated is not None and abs(mean_s - stated.offset_s) > reach_s:
+        return _contradiction(stated, mean_s)
+    if rival - fine.min() < CLEAR * dispersion:
+        rival_s = float(offsets_s[far][np.argmin(costs[far])])
+        return Unknown(f"offsets of {mean_s:+.1f} s and {rival_s:+.1f} s fit equally")
+    if sigma_s > WIDEST_S:
+        return Unknown(f"nothing determines it better than +-{sigma_s:.1f} s")
+    if stated is None and not cost.is_consistent(square[int(np.argmin(fine))]):
+        return Unknown("the pictures do not move as the log does at any time of it")
+    return Clock(mean_s, sigma_s, cost.text(stated, square[int(np.argmin(fine))]))
+
+
+def _contradiction(stated: Stated, found_s: float) -> Unknown:
+    return Unknown(
+        f"{stated.source} states {stated.offset_s:+.2f} s, but the pictures move as the log does at {found_s:+.2f} s"
+    )
+
+
+def _offsets(evidence: Evidence, stated: Stated | None) -> Array:
+    """(T,) to compare: all that leave most of the pictures within the log, and what is stated."""
+    moments = np.sort(np.asarray(evidence.moments_ns, np.int64))
+    middle = len(moments) // 2
+    least_s = max((evidence.track.start_ns - int(moments[middle])) / 1e9, -REACH_S)
+    most_s = min((evidence.track.end_ns - int(moments[middle])) / 1e9, REACH_S)
+    everywhere = np.arange(least_s, most_s, STEP_S)
+    if stated is None or not least_s <= stated.offset_s <= most_s:
+        return everywhere
+    about = stated.offset_s + stated.sigma_s * np.linspace(-4.0, 4.0, 33)
+    return np.unique(np.concatenate([everywhere, about]))
+
+
+class _Cost:
+    """All evidence of one flight at any offset. (28.7)"""
+
+    def __init__(self, evidence: Evidence, noise: MotionNoise, stated: Stated | None) -> None:
+        self._evidence, self._noise, self._stated = evidence, noise, stated
+        self._motion = MotionCost(evidence.track, evidence.pairs, noise)
+
+    def of(self, offsets_s: Array) -> tuple[Array, Array]:
+        """(T,) costs and the pairs' squared sigmas (T, K)."""
+        fit = self._motion(offsets_s)
+        return fit.total.sum(axis=1) + self._others(offsets_s), fit.square
+
+    def everywhere(self, offsets_s: Array) -> Array:
+        """(T,) costs; of many pairs some judge all offsets, and all of them the best; inf where they did not."""
+        e, every = self._evidence, -(-len(self._evidence.pairs) // COARSE_PAIRS)
+        others = self._others(offsets_s)
+        if every <= 1:
+            fit = self._motion(offsets_s)
+            total: Array = fit.total.sum(axis=1) + others
+            return total
+        some = Pairs(e.pairs.moments_ns[::every], e.pairs.at[::every], e.pairs.to[::every])
+        coarse = MotionCost(e.track, some, self._noise)(offsets_s).total.sum(axis=1) * every + others
+        out = np.full(len(offsets_s), np.inf)
+        kept = np.sort(np.argsort(coarse)[:KEPT])
+        out[kept] = self._motion(offsets_s[kept]).total.sum(axis=1) + others[kept]
+        return out
+
+    def _others(self, offsets_s: Array) -> Array:
+        e, stated = self._evidence, self._stated
+        out = shot_cost(e.moments_ns, e.shots_ns, offsets_s, e.stamp_sigma_s)
+        if stated is not None:
+            away = (offsets_s - stated.offset_s) / stated.sigma_s
+            out = out - 2.0 * np.logaddexp(-0.5 * away**2 - np.log(stated.sigma_s), np.log(ASTRAY / REACH_S))
+        return out
+
+    def is_consistent(self, square: Array) -> bool:
+        """Whether the best offset is that of pictures and log which belong together: by most of the pairs."""
+        explained = np.isfinite(square)
+        is_explained = bool(np.count_nonzero(explained) >= MOST_OF * len(square))
+        return bool(self._evidence.shots_ns) or (is_explained and _dispersion(square) < MISFIT)
+
+    def text(self, stated: Stated | None, square: Array) -> str:
+        """By what the offset is known."""
+        by = []
+        if stated is not None:
+            by.append(stated.source)
+        if self._evidence.shots_ns:
+            by.append(f"{len(self._evidence.shots_ns)} recorded shots")
+        if np.isfinite(square).any():
+            by.append(f"the motion of {np.count_nonzero(np.isfinite(square))} pairs of pictures")
+        return ", ".join(by)
+
+
+def _dispersion(square: Array) -> float:
+    """By how much the pairs' squared errors exceed what is expected of them; 1 at least."""
+    known = square[np.isfinite(square)]
+    return max(float(np.median(known)) / median_chi2(4), 1.0) if len(known) else 1.0

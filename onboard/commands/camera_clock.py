@@ -1,0 +1,135 @@
+"""The clock of a camera whose pictures are imported: by how much it and the log's differ, or one line that it is not
+known. Nothing ties such a clock to UTC unless it is stated.
+"""
+
+from __future__ import annotations
+
+import bisect
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from contract.camera import Camera
+from contract.errors import InputError
+from onboard.camera.pixel_formats import UNDECODABLE
+from onboard.clock.clock_search import REACH_S, Clock, Evidence, Stated, Unknown, search
+from onboard.clock.log_track import log_track
+from onboard.clock.motion_cost import MotionNoise
+from onboard.clock.picture_pairs import chosen_pairs, measure
+from onboard.commands.imported_flight import Row
+from onboard.config.schema import Config
+from onboard.replay.runner import check_overlap
+from onboard.telemetry.telemetry_log import NS_PER_S, TelemetryLog
+
+Picture = NDArray[np.uint8]
+
+SMALL_PX = 640
+APART_S = 1.5  # between two pictures of a pair, about
+# One sigma of the height over the ground as a share, of a match, of the ground's relief (of the height), of a position
+# against the next.
+SIGMA_HEIGHT, SIGMA_MATCH_RAD, RELIEF, PLACE_M = 0.3, 0.003, 0.05, 0.5
+# How an attitude that only the path shows may be off from picture to picture: a gimbal's, or a banking aircraft's.
+BY_PATH_DEG = (0.5, 2.0, 6.0)
+# A log that begins in the air does not show how high: any of these, to a factor of two.
+BASES_M, SIGMA_BASE = (30.0, 80.0, 200.0), 0.6
+SEEK_FRAMES = 90  # a frame farther on is sought, not decoded up to
+ADVICE = (
+    "GPS time in EXIF would tie it, and so would a picture of a GPS clock; where you know it, give --clock-offset S "
+    "(the camera's clock is S seconds ahead of UTC, to as many digits as you know)"
+)
+
+
+def clock_of(
+    log: TelemetryLog,
+    config: Config,
+    camera: Camera,
+    moments_ns: Sequence[int],
+    stamp_sigma_s: float,
+    picture: Callable[[int], Picture | None],
+    stated: Stated | None,
+    advice: str = "",
+) -> Clock:
+    """The clock of pictures at these moments. Raises InputError, one line that begins with "clock:"."""
+    (begin_ns, end_ns), reach_ns = log.span_ns, round(REACH_S * NS_PER_S)
+    if max(moments_ns) < begin_ns - reach_ns or min(moments_ns) > end_ns + reach_ns:
+        check_overlap(moments_ns, log)  # of another day, which no zone explains
+    track, pairs = log_track(log, config), measure(camera, moments_ns, chosen_pairs(moments_ns), picture)
+    solve, time_s = config.solve, config.solve.attitude_correlation_time_s
+    tilt_deg = _between_deg(solve.attitude_white_sigma_deg, solve.attitude_sigma_deg, time_s)
+    attitudes_deg = [(tilt_deg, _between_deg(solve.heading_white_sigma_deg, solve.heading_sigma_deg, time_s))]
+    if not track.has_attitude:
+        attitudes_deg = [(deg, deg) for deg in BY_PATH_DEG]
+    bases = [(0.0, SIGMA_HEIGHT)] if track.has_take_off else [(base_m, SIGMA_BASE) for base_m in BASES_M]
+    noises = [
+        MotionNoise(
+            math.radians(tilt), math.radians(heading), PLACE_M, RELIEF, stamp_sigma_s, SIGMA_MATCH_RAD,
+            math.radians(config.mount.sigma_deg), height, max(camera.sigma[0], 0.01), base_m,
+        )
+        for tilt, heading in attitudes_deg
+        for base_m, height in bases
+    ]  # fmt: skip
+    found = search(Evidence(track, moments_ns, stamp_sigma_s, pairs, noises, log.shots_ns), stated)
+    if isinstance(found, Unknown):
+        raise InputError(f"clock: {found.reason}: by how much the camera's is off is not known. {ADVICE}{advice}")
+    return found
+
+
+def clock_row(clock: Clock) -> Row:
+    """What is printed of it."""
+    return (
+        "clock",
+        f"the camera's is {-clock.offset_s:+.2f} +-{clock.sigma_s:.2f} s ahead of the log's, by {clock.text}",
+    )
+
+
+def _between_deg(white_deg: float, slow_deg: float, time_s: float) -> float:
+    """One sigma of the turn between two attitudes, by the white and the Gauss-Markov part of each. (5.5)"""
+    return math.sqrt(2.0 * (white_deg**2 + slow_deg**2 * (1.0 - math.exp(-APART_S / time_s))))
+
+
+def photographs(paths: Sequence[Path]) -> Callable[[int], Picture | None]:
+    """Small grey copies of photographs; a JPEG is decoded at a part of its size."""
+
+    def small(index: int) -> Picture | None:
+        try:
+            with Image.open(paths[index]) as image:
+                width, height = image.size
+                image.draft("L", (SMALL_PX, max(SMALL_PX * height // width, 1)))
+                return np.array(image.convert("L"), np.uint8)
+        except UNDECODABLE:
+            return None
+
+    return small
+
+
+def frames(video: Path, times_s: Sequence[float]) -> Callable[[int], Picture | None]:
+    """Small grey copies of a video's frames, asked for in order; None where it does not hand that frame out."""
+    capture = cv2.VideoCapture(str(video))
+    capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
+    half_s = 0.5 * float(np.median(np.diff(times_s))) if len(times_s) > 1 else 1.0
+    due = 0
+
+    def small(index: int) -> Picture | None:
+        nonlocal due
+        if index - due > SEEK_FRAMES:
+            capture.set(cv2.CAP_PROP_POS_MSEC, 1e3 * times_s[index])
+        shown_s = -math.inf
+        while shown_s < times_s[index] - half_s:
+            if not capture.grab():
+                return None
+            shown_s = float(capture.get(cv2.CAP_PROP_POS_MSEC)) / 1e3
+        due = bisect.bisect_left(times_s, shown_s - half_s) + 1
+        got, picture = capture.retrieve()
+        if not got or picture is None or abs(shown_s - times_s[index]) > half_s:
+            return None
+        grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY) if picture.ndim == 3 else picture
+        height, width = grey.shape[:2]
+        size = (SMALL_PX, max(SMALL_PX * height // width, 1)) if width > SMALL_PX else (width, height)
+        return np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.uint8)
+
+    return small

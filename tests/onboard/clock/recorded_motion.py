@@ -1,0 +1,86 @@
+"""The motion of pictures that a camera would have taken on a recorded flight, from the truth, without drawing any."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contract.geodesy import LocalFrame
+from contract.rotations import exp_so3, mount_rotation
+from onboard.clock.clock_search import Evidence
+from onboard.clock.log_track import log_track
+from onboard.clock.motion_cost import MotionNoise
+from onboard.clock.picture_pairs import Pairs
+from onboard.config.schema import parse_config
+from onboard.telemetry.tlog_reader import read_tlog
+from simulation.flight import find_recording
+from simulation.trajectory import Pose, RecordedTruth
+
+Array = NDArray[np.float64]
+
+CONFIG = parse_config("[mount]\npitch_deg = -90.0\nsigma_deg = 5.0")
+HALF_FIELD = np.array([0.55, 0.42])
+NOISE = MotionNoise(*np.radians([0.35, 1.2]), 0.5, 0.05, 0.03, 0.003, mount_rad=np.radians(5.0), height=0.3, focal=0.02)
+
+
+@dataclass(frozen=True)
+class Camera:
+    """What is wrong of it: how it sits (deg), how high the ground is, its focal length (share)."""
+
+    boresight_deg: tuple[float, float, float] = (2.0, -3.0, 2.5)
+    ground_m: float = 8.0
+    focal: float = 0.02
+
+
+def evidence(
+    recording: str,
+    taken_s: Array,
+    ahead_s: float,
+    shots_s: Sequence[float] = (),
+    camera: Camera = Camera(),
+    seed: int = 0,
+) -> Evidence:
+    """Pictures at these seconds of a recording, by a clock that is ahead of the log's."""
+    log_path, truth_path = find_recording(recording)
+    truth = RecordedTruth.read(truth_path)
+    epoch_s = float(truth.unix_time_s[0])
+    origin = LocalFrame(float(truth.lat_deg[0]), float(truth.lon_deg[0]), 100.0)
+    trajectory = truth.trajectory(origin, epoch_s, 0.0)
+    R_body_cam = mount_rotation(0.0, -90.0, 0.0) @ exp_so3(np.radians(camera.boresight_deg))
+    poses = [trajectory.camera_pose(float(t), R_body_cam) for t in taken_s]
+    rng = np.random.default_rng(seed)
+    stamps_ns = [round((epoch_s + t + ahead_s) * 1e9) for t in taken_s]
+    found = [
+        (stamps, *seen)
+        for *views, stamps in zip(poses, poses[1:], itertools.pairwise(stamps_ns), strict=False)
+        if (seen := _seen(*views, camera, rng)) is not None
+    ]
+    pairs = Pairs(
+        np.array([stamps for stamps, _, _ in found], np.int64).reshape(-1, 2),
+        *(np.array([each[i] for each in found]).reshape(-1, 4, 2) for i in (1, 2)),
+    )
+    shots_ns = [round((epoch_s + t) * 1e9) for t in shots_s]
+    return Evidence(log_track(read_tlog(log_path), CONFIG), stamps_ns, 0.03, pairs, [NOISE], shots_ns)
+
+
+def _seen(first: Pose, second: Pose, camera: Camera, rng: np.random.Generator) -> tuple[Array, Array] | None:
+    """Four points of the ground in both pictures, the second's with noise and relief of 3 m."""
+
+    def moved(at: Array, relief_m: Array | float = 0.0) -> Array:
+        rays = np.column_stack([at, np.ones(len(at))]) @ first.R_enu_cam.T
+        places = first.centre_m + rays * ((camera.ground_m + relief_m - first.centre_m[2]) / rays[:, 2])[:, None]
+        q = (places - second.centre_m) @ second.R_enu_cam
+        return np.where((q[:, 2:] > 0.0) & (rays[:, 2:] < 0.0), q[:, :2] / q[:, 2:], 9.0)
+
+    grid = np.stack(np.meshgrid(*(np.linspace(-h, h, 7) for h in HALF_FIELD)), -1).reshape(-1, 2)
+    both = (np.abs(moved(grid)) < HALF_FIELD).all(axis=1)
+    if np.count_nonzero(both) < 9:
+        return None
+    corners = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    box = grid[both].mean(axis=0) + grid[both].std(axis=0) * corners
+    to = moved(box, rng.normal(0.0, 3.0, 4)) + rng.normal(0.0, 0.002, (4, 2))
+    return box * (1.0 + camera.focal), to * (1.0 + camera.focal)
