@@ -134,6 +134,8 @@ def _pin(place: ET.Element, point: ET.Element, who: str, now_unix_ns: int) -> Pi
     numbers = point.findtext("coordinates", "").strip().split(",")
     if len(numbers) < 2:
         raise InputError("no coordinates (longitude, latitude) in its point")
+    if len(numbers) > 3:  # decimal commas, or more places than one
+        raise InputError("its coordinates are not longitude, latitude and perhaps height, with points as decimal marks")
     has_height = len(numbers) > 2 and point.findtext("altitudeMode", "") == "absolute"
     height_m = (float(numbers[2]) if has_height else None) or None  # 0: not known, as CalTopo and others write
     ce90, le90 = (float(about[key]) if about.get(key) else None for key in ("ce90_m", "le90_m"))

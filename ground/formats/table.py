@@ -91,13 +91,15 @@ def read(data: bytes, who: str = "", now_unix_ns: int = 0) -> Imported:
         text = _decoded(data)
         delimiter = _delimiter(text)
         rows = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)
-        columns = _columns(next(rows, []))
+        names = next(rows, [])
+        columns = _columns(names)
         for cells in rows:
             got = {name: cells[k] for name, k in columns.items() if k < len(cells)}
             if not got.get("lat_deg", "").strip():
                 out.left_out += any(cell.strip() for cell in cells)
                 continue
-            out.take(f"CSV, line {rows.line_num}", partial(_pin, got, delimiter != ",", who, now_unix_ns))
+            beyond = "".join(cells[len(names) :]).strip()
+            out.take(f"CSV, line {rows.line_num}", partial(_pin, got, beyond, delimiter != ",", who, now_unix_ns))
     except (csv.Error, UnicodeDecodeError) as error:
         raise InputError(f"not a CSV file ({error})") from error
     return out.checked()
@@ -131,8 +133,10 @@ def _columns(names: Sequence[str]) -> dict[str, int]:
     return found
 
 
-def _pin(got: dict[str, str], has_decimal_commas: bool, who: str, now_unix_ns: int) -> Pin:
-    """One row's. Raises InputError."""
+def _pin(got: dict[str, str], beyond: str, has_decimal_commas: bool, who: str, now_unix_ns: int) -> Pin:
+    """One row's; `beyond` is in cells that no column names. Raises InputError."""
+    if beyond:
+        raise InputError("more cells than the first line names: a text or a number with a comma needs quotes")
 
     def number(name: str) -> float | None:
         text = got.get(name, "").strip()

@@ -157,6 +157,8 @@ def of_features(*coordinates: str) -> bytes:
         ("a.kml", KMZ_TEXT.format(BAD_PLACE.format("8.5")).encode(), "placemark 'bad': no coordinates"),
         ("a.kml", KMZ_TEXT.format(BAD_PLACE.format("x,y")).encode(), "placemark 'bad'"),
         ("a.kml", KMZ_TEXT.format(BAD_PLACE.format("8,1e999")).encode(), "placemark 'bad'"),
+        ("a.kml", KMZ_TEXT.format(BAD_PLACE.format("8,5,47,3")).encode(), "placemark 'bad': its coordinates are not"),
+        ("a.kml", KMZ_TEXT.format(BAD_PLACE.format("8,47,9 8,48,9")).encode(), "placemark 'bad': its coordinates are"),
         ("a.kmz", kmz(KMZ_TEXT.format(BAD_PLACE.format(""))), "placemark 'bad': no coordinates"),
         ("a.gpx", b'<gpx><wpt lat="nan" lon="8"><name>bad</name></wpt><wpt lat="47.3" lon="8.6"><name>B</name></wpt>'
          b"</gpx>", "waypoint 'bad'"),
@@ -165,6 +167,7 @@ def of_features(*coordinates: str) -> bytes:
         ("a.geojson", of_features("[8.6,47.3]", "[1e999,47]"), "feature 1"),
         ("a.geojson", of_features("[8.6,47.3]", "[true,null]"), "feature 1: coordinates are longitude"),
         ("a.csv", b"name,lat,lon\nB,47.3,8.6\nbad,x,y\n", "CSV, line 3"),
+        ("a.csv", b"name,lat,lon\nB,47.3,8.6,,\nbad,47,3,8,6\n", "CSV, line 3: more cells than the first line names"),
         ("a.cot", (TAK.replace("-43.38", "47.3").replace("172.40", "8.6").replace("U.2.030405", "B")
          + TAK.replace("-43.38", "91").replace("a1", "bad")).encode(), "event 'bad'"),
     ],
