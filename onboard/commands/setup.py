@@ -30,6 +30,8 @@ from onboard.commands.calibrate import write
 from onboard.commands.cameras import stable_name
 from onboard.commands.questions import Terminal
 from onboard.commands.replay import recorded_flight
+from onboard.config.files import load_config_files
+from onboard.config.recorded import with_secrets_of
 from onboard.config.schema import Config, to_toml
 from onboard.pipeline.mount_search import MountSearch
 from onboard.telemetry.autopilot_search import FoundAutopilot, candidates, is_slow, listen
@@ -100,7 +102,10 @@ def run(arguments: argparse.Namespace, terminal: Terminal | None = None, around:
     _check_free(config_path, arguments.force)
     left: list[str] = []
     if arguments.first_flight is not None:
-        return _finish(config_path, to_toml(_with_found_mount(arguments.first_flight)), left, around)
+        config = _with_found_mount(arguments.first_flight)
+        if config_path.exists():  # what is in it of addresses, no recording has
+            config = with_secrets_of(config, load_config_files(config_path))
+        return _finish(config_path, to_toml(config), left, around)
     camera = _camera(arguments, terminal, around)
     camera_file, text = _camera_file(arguments, terminal, camera, camera_path, left)
     telemetry, system = _telemetry(arguments, terminal, around, left)
@@ -344,7 +349,7 @@ def _print_what_is_left(config: Path, left: list[str]) -> None:
     for number, what in enumerate(
         [*left, f"start it: pc-onboard run --config {config} (as a service: docs/service.md)"], 1
     ):
-        print(f"  {number}. {what}")
+        print(f"  {number}. {without_secrets(what)}")
 
 
 def _not_empty(line: str) -> str:

@@ -20,6 +20,8 @@ from onboard.commands import setup
 from onboard.commands.questions import MOST_TRIES, Terminal
 from onboard.commands.setup import Found, Surroundings
 from onboard.config.files import load_config_files
+from onboard.config.recorded import recorded_toml
+from onboard.config.schema import parse_config, to_toml
 from onboard.telemetry.autopilot_search import FoundAutopilot, candidates, listen
 from simulation.autopilot.fake import FakeAutopilot
 from tests.onboard.link.ports import free_udp_port
@@ -112,6 +114,34 @@ def test_flags_alone_say_everything_and_nothing_is_looked_for(out: Path, tmp_pat
     assert (config.telemetry.attitude_rate_hz, config.telemetry.position_rate_hz) == (20.0, 5.0)
     assert config.camera.sigma_latency_s == pytest.approx(0.29)  # of a network stream, stated
     assert not around.listened and out.stat().st_mode & 0o077 == 0  # it holds a password
+
+
+ADDRESS = "rtsp://me:hunter2@10.0.0.2/live"
+
+
+def test_a_password_is_printed_nowhere(out: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--yes", "--camera", ADDRESS, "--size", "640x480", "--fov-deg", "60", "--system", "4"]
+    around = Around([], []).around
+    assert setup.run(arguments(out, *words, "--telemetry", "serial:/dev/ttyS1:921600"), None, around) == 0
+    printed = capsys.readouterr()
+    assert "--device 'rtsp://10.0.0.2/live'" in printed.out and "hunter2" not in printed.out + printed.err
+
+
+def test_the_first_flight_s_configuration_keeps_the_passwords_that_its_recording_has_not(
+    out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What setup itself asks for as the next step wrote the camera's address without them over the one that works."""
+    own = parse_config(f'[camera]\ndevice = "{ADDRESS}"\n[mount]\nyaw_deg = 90.0')
+    flown = parse_config(recorded_toml(own).replace("yaw_deg = 90.0", "yaw_deg = 0.0"))
+    assert "hunter2" not in to_toml(flown)
+    monkeypatch.setattr(setup, "_with_found_mount", lambda session: flown)
+    words = ["--yes", "--force", "--first-flight", str(tmp_path / "session.mcap")]
+    out.write_text(to_toml(own))
+    assert setup.run(arguments(out, *words), None, Around([], []).around) == 0
+    assert load_config_files(out).camera.device == ADDRESS and load_config_files(out).mount.yaw_deg == 0.0
+    out.write_text(to_toml(parse_config('[camera]\ndevice = "rtsp://me:hunter2@10.0.0.3/live"')))  # of another camera
+    assert setup.run(arguments(out, *words), None, Around([], []).around) == 0
+    assert load_config_files(out).camera.device == "rtsp://10.0.0.2/live"
 
 
 def test_what_is_several_is_asked_and_wrong_answers_are_asked_again(out: Path) -> None:
