@@ -132,9 +132,9 @@ def test_the_first_flight_s_configuration_keeps_the_passwords_that_its_recording
 ) -> None:
     """What setup itself asks for as the next step wrote the camera's address without them over the one that works."""
     own = parse_config(f'[camera]\ndevice = "{ADDRESS}"\n[mount]\nyaw_deg = 90.0')
-    flown = parse_config(recorded_toml(own).replace("yaw_deg = 90.0", "yaw_deg = 0.0"))
-    assert "hunter2" not in to_toml(flown)
-    monkeypatch.setattr(setup, "_with_found_mount", lambda session: flown)
+    recorded = parse_config(recorded_toml(own).replace("yaw_deg = 90.0", "yaw_deg = 0.0"))
+    assert "hunter2" not in to_toml(recorded)
+    monkeypatch.setattr(setup, "_with_found_mount", lambda session: recorded)
     words = ["--yes", "--force", "--first-flight", str(tmp_path / "session.mcap")]
     out.write_text(to_toml(own))
     assert setup.run(arguments(out, *words), None, Around([], []).around) == 0
