@@ -13,7 +13,7 @@ from pathlib import Path
 
 HIDDEN = "***"
 _NAME = (
-    r"(?:user(?:[-_]?(?:name|id|pw))?|login|proxy[-_](?:id|pw)|pass(?:word|wd|phrase|code)?|pwd|pw|token|secret|"
+    r"(?:user(?:[-_]?(?:name|id|pw))?|login(?:use|pas)?|proxy[-_](?:id|pw)|pass(?:word|wd|phrase|code)?|pwd|pw|token|jwt|secret|"
     r"credentials?|auth(?:orization)?|(?:api|access|private|secret|stream)[-_]?key|key|sig(?:nature)?|session(?:[-_]?id)?)"
 )
 _VALUE = r"""(?:\\?"[^"]*"|'[^']*'|[^\s&;"'#,]+)"""
@@ -23,9 +23,10 @@ _RULES = (
     (re.compile(r"""(?<=//)(?:[^\s/@:"']*:(?!\d+(?:[/?]|$))[^\s"']*@|[^/@\s"']*@)"""), ""),
     # The same in an address whose // was forgotten, and of curl's -u.
     (re.compile(r"""(?<!\w)((?:rtsp[tus]?|https?|srt|rtmps?|ftp|udp|tcp):/?)(?!/)[^\s/@"']+@"""), r"\1"),
-    (re.compile(r"""(\s-u\s+)\S+:\S+"""), rf"\1{HIDDEN}"),
+    (re.compile(r"""(\s-u\s*)(?![\w-]+://)[^\s:]+:\S+"""), rf"\1{HIDDEN}"),
     # ?token=..., user-pw=... of a pipeline, PASSWORD=... before a command. Not a key of ours: link.key.
     (re.compile(rf"(?<![\w.])((?:[A-Za-z0-9]+[-_])*{_NAME}\s*=\s*){_VALUE}", re.IGNORECASE), rf"\1{HIDDEN}"),
+    (re.compile(r"(\bx-(?:[a-z]+-)*(?:key|token)\s*:\s*)[^\s\"']+", re.IGNORECASE), rf"\1{HIDDEN}"),
     (re.compile(r"(authorization\s*[:=]\s*)(?:(?:basic|bearer|digest)\s+)?[^\s\"']+", re.IGNORECASE), rf"\1{HIDDEN}"),
 )
 # Only of another's program: "--key with --certificate" is a sentence of ours.
