@@ -16,6 +16,12 @@ def correlation(rank: int, seed: int) -> np.ndarray:
     return covariance
 
 
+def correlation_of(factor: code.Rows) -> np.ndarray:
+    covariance = np.array(factor) @ np.transpose(factor)
+    sigmas = np.sqrt(np.diag(covariance))
+    return covariance / np.outer(sigmas, sigmas)
+
+
 @pytest.mark.parametrize("rank", [10, 14, 40])
 def test_codes_are_the_partial_correlations_of_the_cholesky_factor(rank: int) -> None:
     seen = 0
@@ -47,3 +53,25 @@ def test_codes_that_keep_too_little_of_a_state_have_no_factor() -> None:
     assert code.factor_from_codes([5000] * 9, codes) is not None
     codes[2] = 127  # twice in one row
     assert code.factor_from_codes([5000] * 9, codes) is None
+
+
+def test_the_units_of_the_states_change_their_sigmas_codes_alone() -> None:
+    """And what is read is the covariance to its rounding: 0.03 % of each sigma, 0.025 of atanh of each correlation."""
+    sigmas = 10.0 ** np.linspace(-4.0, 3.0, 9)
+    for seed in range(20):
+        matrix = correlation(40, seed)
+        _, of_ones, unit = code.covariance_codes(matrix)
+        _, codes, factor = code.covariance_codes(matrix * np.outer(sigmas, sigmas))
+        assert codes == of_ones
+        read = np.array(factor) @ np.transpose(factor)
+        np.testing.assert_allclose(np.sqrt(np.diag(read)), sigmas, rtol=1.01 * code.SIGMA_UNIT / 2.0)
+        np.testing.assert_allclose(correlation_of(factor), correlation_of(unit), atol=1e-12)
+        assert 1e-4 < np.abs(correlation_of(factor) - matrix).max() < 0.1
+        np.testing.assert_allclose(np.array(code.inverse_of_factor(factor)) @ factor, np.eye(9), atol=1e-9)
+
+
+def test_a_covariance_whose_halves_differ_is_read_as_their_mean() -> None:
+    above, below = np.eye(2), np.eye(2)
+    above[0, 1], below[1, 0] = 0.9, 0.9
+    _, codes, _ = code.covariance_codes(above)
+    assert codes == code.covariance_codes(below)[1] == [round(np.arctanh(0.45) / 0.05)]

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from contract.geodesy import LocalFrame, ecef_to_geodetic, geodetic_to_ecef, rotation_enu_ecef
+from contract.geodesy import LocalFrame, ecef_to_geodetic, geodetic_to_ecef, metres_per_degree, rotation_enu_ecef
 
 latitudes = st.floats(-90.0, 90.0)
 longitudes = st.floats(-180.0, 180.0)
@@ -58,3 +58,12 @@ def test_arrays_of_many_keep_their_shape() -> None:
     points = np.zeros((4, 5, 3))
     assert frame.to_geodetic(points).shape == (4, 5, 3)
     np.testing.assert_allclose(frame.to_geodetic(points)[2, 3], [10.0, 20.0, 30.0], atol=1e-8)
+
+
+@given(st.floats(-89.9, 89.9))
+def test_a_degree_is_as_long_as_the_ellipsoid_makes_it(lat: float) -> None:
+    step = 1e-3
+    north = geodetic_to_ecef([lat - step, lat + step], [0.0, 0.0], [0.0, 0.0])
+    east = geodetic_to_ecef([lat, lat], [-step, step], [0.0, 0.0])
+    lengths_m = [np.linalg.norm(ends[1] - ends[0]) / (2.0 * step) for ends in (north, east)]
+    assert metres_per_degree(lat) == pytest.approx(lengths_m, rel=1e-8, abs=1e-5)

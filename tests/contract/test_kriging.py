@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial import ConvexHull
 
+from contract import kriging as of_kriging
 from contract.kriging import Kriging, convex_hull, distance_outside, hull_area, on_plane, stretch
 from contract.rotations import exp_so3
 
@@ -184,6 +185,19 @@ def test_features_in_one_place_with_next_to_no_noise_are_survived(nugget: float)
     predicted, covariance = Kriging(xy, np.full(120, 0.01), np.full(120, nugget), BELOW, 0.5, 30.0).predict(xy[::40])
     np.testing.assert_allclose(predicted, 0.01, rtol=1e-3)
     assert np.all(np.isfinite(covariance)) and np.all(np.diag(covariance) > -1e-9)
+
+
+@pytest.mark.parametrize("power", [0, 3, 6])
+def test_features_get_as_much_more_noise_as_a_factor_takes_and_no_more(power: int) -> None:
+    """Of six in one place: what the factor leaves of the difference of two is at most ten times what it lacked."""
+    one_place = np.full((6, 6), 900.0)
+    rounding = np.finfo(float).eps * np.trace(one_place)
+    lacking = 0.5 * rounding * 10.0**power
+    whiten = of_kriging._whitening(one_place - lacking * np.eye(6))
+    left = 2.0 / float(np.sum((whiten[:, 0] - whiten[:, 1]) ** 2))
+    assert 0.0 < left < 10.0 * lacking
+    with pytest.raises(np.linalg.LinAlgError, match="far from positive definite"):
+        of_kriging._whitening(one_place - 1e9 * rounding * np.eye(6))
 
 
 def test_a_feature_without_noise_is_met_exactly_and_known() -> None:
