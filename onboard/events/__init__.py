@@ -7,6 +7,6 @@ Public:
 - `source`: `Emit`, `Severity`, `Source`, `SourceStatus`, `State`, `Stop`, `TelemetrySource`
 - `tunnel`: `Peer`, `TunnelEnd`
 - `types`: `Attitude`, `Event`, `FilterStatus`, `Frame`, `GimbalAttitude`, `GpsQuality`, `NavEvent`, `PositionFix`,
-  `RTK_FIXED`, `RTK_FLOAT`, `RTK_SIGMAS_M`, `RangeFinder`, `Zoom`, `ZoomUnit`
+  `RangeFinder`, `Zoom`, `ZoomUnit`
 - `waiting_pictures`: `WaitingPictures`
 """

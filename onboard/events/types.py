@@ -43,12 +43,6 @@ class PositionFix:
     height_above_home_m: float | None = None
 
 
-RTK_FLOAT, RTK_FIXED = 5, 6  # of MAVLink's GPS_FIX_TYPE
-# By fix type, one sigma (m), horizontal and vertical, of a receiver that measures phase against a base (RTK) and
-# states none of its own: float, and fixed.
-RTK_SIGMAS_M = {RTK_FLOAT: (0.4, 0.8), RTK_FIXED: (0.03, 0.05)}
-
-
 @dataclass(frozen=True)
 class GpsQuality:
     """What the receiver reports of itself; None where it does not. `undulation_m` = ellipsoidal minus AMSL height.
@@ -64,16 +58,6 @@ class GpsQuality:
     sigma_velocity_m_s: float | None = None
     undulation_m: float | None = None
     sigma_datum_m: float | None = None
-
-    def sigmas_m(self, least_m: tuple[float, float]) -> tuple[float, float]:
-        """One sigma, horizontal and vertical: what it claims, but at least `least_m`, below which a receiver by code
-        alone is not accepted; with RTK just what it claims, or what is usual.
-        """
-        claims = self.sigma_horizontal_m or 0.0, self.sigma_vertical_m or 0.0
-        usual = RTK_SIGMAS_M.get(self.fix_type)
-        if usual is None:
-            return max(least_m[0], claims[0]), max(least_m[1], claims[1])
-        return claims[0] or min(usual[0], least_m[0]), claims[1] or min(usual[1], least_m[1])
 
     @property
     def has_fix(self) -> bool:

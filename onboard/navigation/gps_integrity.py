@@ -113,10 +113,12 @@ class GpsIntegrity:
         return float(np.hypot(horizontal_m, doubt_m[0])), float(np.hypot(vertical_m, doubt_m[1]))
 
     def claims(self, moment_ns: int) -> tuple[float, float]:
-        """The receiver's worst sigmas of the last two seconds (when jammed it alternates), by its kind of fix."""
-        least_m = self._gps.sigma_correlated_horizontal_m, self._gps.sigma_correlated_vertical_m
-        claims = [quality.sigmas_m(least_m) for quality in self.quality.latest(moment_ns, RECENT_NS)] or [least_m]
-        return max(horizontal_m for horizontal_m, _ in claims), max(vertical_m for _, vertical_m in claims)
+        """The receiver's worst claim of the last two seconds (when jammed it alternates), bounded below."""
+        gps, claims = self._gps, self.quality.latest(moment_ns, RECENT_NS)
+        return (
+            max([gps.sigma_correlated_horizontal_m, *(c.sigma_horizontal_m for c in claims if c.sigma_horizontal_m)]),
+            max([gps.sigma_correlated_vertical_m, *(c.sigma_vertical_m for c in claims if c.sigma_vertical_m)]),
+        )
 
     def velocity_claim_m_s(self, moment_ns: int) -> float:
         """One sigma of the velocity, the worst that receiver or filter claimed in the last two seconds; 0: neither."""

@@ -14,7 +14,6 @@ from enum import Enum
 from contract.feature_set import Status
 from contract.supervised_thread import ThreadReport
 from onboard.events.source import Severity, SourceStatus, State
-from onboard.events.types import RTK_FIXED, RTK_FLOAT
 
 STUCK_S = 4.0  # one event never takes this long
 SILENT_S = 3.0  # without a picture though the camera calls itself well
@@ -79,11 +78,9 @@ class GpsReport:
 
     def __str__(self) -> str:
         seen = "" if self.satellites is None else f", {self.satellites} satellites"
-        sigma_m = self.sigma_horizontal_m
-        claim = "" if sigma_m is None else f", +-{sigma_m:.{1 if sigma_m >= 0.1 else 2}f} m"
-        kind = {RTK_FLOAT: " (RTK float)", RTK_FIXED: " (RTK fixed)"}.get(self.fix_type, "")
+        claim = "" if self.sigma_horizontal_m is None else f", +-{self.sigma_horizontal_m:.1f} m"
         old = f", {self.age_s:.0f} s old" if self.age_s >= MAX_GPS_AGE_S else ""
-        return f"fix type {self.fix_type}{kind}{seen}{claim}{old}"
+        return f"fix type {self.fix_type}{seen}{claim}{old}"
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from pynmeagps import NMEAMessageError, NMEAParseError, NMEAReader, NMEAStreamEr
 from onboard.config.schema import Config
 from onboard.events.session_clock import SessionClock
 from onboard.events.source import Emit, Severity, SourceStatus, State, Stop
-from onboard.events.types import RTK_SIGMAS_M, GpsQuality, NavEvent, PositionFix
+from onboard.events.types import GpsQuality, NavEvent, PositionFix
 from onboard.telemetry.boot_clock import BootClock
 from onboard.telemetry.transports import Address, Wire
 
@@ -176,7 +176,7 @@ def _events(sentences: dict[str, Any], stamp_ns: int, receiver: NmeaReceiver) ->
     if fix_type >= 3 and height is None:
         fix_type = 2
     satellites = _number(gga, "numSV") if gga is not None else None
-    sigma_horizontal, sigma_vertical = _sigmas(gga, gst, fix_type)
+    sigma_horizontal, sigma_vertical = _sigmas(gga, gst)
     quality = GpsQuality(
         stamp_ns,
         fix_type,
@@ -194,16 +194,14 @@ def _events(sentences: dict[str, Any], stamp_ns: int, receiver: NmeaReceiver) ->
     return out
 
 
-def _sigmas(gga: Any, gst: Any, fix_type: int) -> tuple[float | None, float | None]:
-    """One sigma, horizontal (of one axis) and vertical: the receiver's own, else from its dilution of precision, which
-    shows nothing of a position by RTK.
-    """
+def _sigmas(gga: Any, gst: Any) -> tuple[float | None, float | None]:
+    """One sigma, horizontal (of one axis) and vertical: the receiver's own, else from its dilution of precision."""
     if gst is not None:
         north, east, up = (_number(gst, name) for name in ("stdLat", "stdLong", "stdAlt"))
         if north and east:
             return math.sqrt((north**2 + east**2) / 2.0), up or None
     dilution = _number(gga, "HDOP") if gga is not None else None
-    if not dilution or dilution > 50.0 or fix_type in RTK_SIGMAS_M:
+    if not dilution or dilution > 50.0:
         return None, None
     return RANGE_SIGMA_M * dilution, 2.0 * RANGE_SIGMA_M * dilution
 

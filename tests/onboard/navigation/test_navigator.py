@@ -171,32 +171,6 @@ def test_the_receiver_may_claim_more_than_the_configuration_but_not_less() -> No
     assert state(navigation, 12.5).sigma_horizontal_m == PLAIN.gps.sigma_correlated_horizontal_m
 
 
-@pytest.mark.parametrize(
-    ("fix_type", "claim_m", "sigmas_m"),
-    [
-        (3, 0.02, (1.5, 2.5)),
-        (4, 0.02, (1.5, 2.5)),
-        (5, 0.31, (0.31, 0.31)),
-        (5, None, (0.4, 0.8)),
-        (6, 0.014, (0.014, 0.014)),
-        (6, None, (0.03, 0.05)),
-        (6, 3.0, (3.0, 3.0)),
-    ],
-)
-def test_an_rtk_receiver_is_as_good_as_it_claims(
-    fix_type: int, claim_m: float | None, sigmas_m: tuple[float, float]
-) -> None:
-    navigation, rtk = Navigation(PLAIN), replace(quality(0.0), fix_type=fix_type, sigma_horizontal_m=claim_m)
-    for t in np.arange(0.0, 13.0, 0.2):
-        navigation.add(replace(rtk, stamp_ns=ns(t), sigma_vertical_m=claim_m))
-        navigation.add(fix(t))
-        navigation.add(attitude(t))
-    found = state(navigation, 10.0)
-    assert (found.sigma_horizontal_m, found.sigma_vertical_m) == sigmas_m
-    navigation.add(quality(9.5, sigma_m=0.02))  # the base was lost for a moment: the worst of two seconds counts
-    assert state(navigation, 10.0).sigma_horizontal_m == max(1.5, sigmas_m[0])
-
-
 def test_a_velocity_is_known_no_better_than_receiver_or_filter_claims() -> None:
     navigation = flown(seconds=13.0)
     assert state(navigation, 9.0).sigma_velocity_m_s == 0.2

@@ -70,5 +70,3 @@ def test_the_receivers_word_ages() -> None:
     report = gps_report(GpsQuality(1_000_000_000, 3, 14, 0.8), 5_000_000_000)
     assert report is not None
     assert (report.age_s, str(report)) == (4.0, "fix type 3, 14 satellites, +-0.8 m, 4 s old")
-    rtk = replace(report, fix_type=6, age_s=0.1, sigma_horizontal_m=0.014)
-    assert str(rtk) == "fix type 6 (RTK fixed), 14 satellites, +-0.01 m"
