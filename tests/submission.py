@@ -48,6 +48,7 @@ EVERY_FLIGHT = (
 INSTALLED = ("packaging", "requirements.lock", "pyproject.toml", "Makefile", "tests/installed.py")
 PROGRAMS = (*EVERY_FLIGHT, "onboard/replay", "onboard/service", "onboard/storage", "onboard/link", "ground")
 TRIES: dict[str, tuple[str, ...]] = {
+    "tests/fuzz": ("contract", "ground", "onboard"),
     "tests/scenarios": EVERY_FLIGHT,
     "tests/web": ("ground", "frontend"),
     "tests/test_benchmarks.py": ("benchmarks",),

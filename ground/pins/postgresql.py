@@ -56,17 +56,25 @@ class PinDatabase(PinTables):
         self._prepare()
 
     def _begin(self) -> None:
-        if not self.rows(
-            "SELECT 1 FROM information_schema.tables WHERE table_name = 'changed' AND table_schema = ?", "pointclick"
-        ):
+        if not self._is_made():
             with self._lock:
                 self.rows(f"BEGIN; SELECT pg_advisory_xact_lock({_CREATING})")
-                for statement in _SCHEMA.split(";\n"):
-                    self.rows(statement)
-                for key, value in BEGINNING.items():
-                    self.rows("INSERT INTO meta VALUES (?, ?) ON CONFLICT DO NOTHING", key, value)
+                # Another may have made them meanwhile and be writing: touching them then would be a deadlock.
+                if not self._is_made():
+                    for statement in _SCHEMA.split(";\n"):
+                        self.rows(statement)
+                    for key, value in BEGINNING.items():
+                        self.rows("INSERT INTO meta VALUES (?, ?) ON CONFLICT DO NOTHING", key, value)
                 self.rows("COMMIT")
         self.check_version()
+
+    def _is_made(self) -> bool:
+        return bool(
+            self.rows(
+                "SELECT 1 FROM information_schema.tables WHERE table_name = 'changed' AND table_schema = ?",
+                "pointclick",
+            )
+        )
 
     def close(self) -> None:
         """Close the connection; no call after this."""

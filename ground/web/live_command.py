@@ -102,7 +102,7 @@ def settings(args: argparse.Namespace, folder: Path, port: int) -> dict[str, Any
     for text in args.set:
         key, equals, value = text.partition("=")
         if not equals or key.count(".") != 1:
-            raise InputError(f"--set {text}: it is KEY=VALUE, as mount.pitch_deg=-45")
+            raise InputError(f"--set {text}: it is SECTION.KEY=VALUE, as mount.pitch_deg=-45")
         try:
             keys[key] = tomllib.loads(f"value = {value}")["value"]
         except tomllib.TOMLDecodeError:

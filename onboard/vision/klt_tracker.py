@@ -175,7 +175,7 @@ class Tracker:
                 best = self.nothing()
         self._levels = None
         if self._repetition_px is not None and not self._is_sure(best, predicted, carried_on):
-            self.is_ambiguous = True
+            self.is_ambiguous = len(best) >= MIN_TRACKS
             return self.nothing()
         if len(best) >= MIN_TRACKS:
             if self._is_plenty(best):

@@ -19,6 +19,7 @@ from onboard.config.schema import Config, parse_config
 from onboard.events.types import Attitude, Event, Frame, GimbalAttitude, GpsQuality, PositionFix
 from onboard.navigation.gimbal import MountHypothesis
 from onboard.telemetry.mavlink_session import Autopilot
+from onboard.telemetry.vehicle_choice import LISTEN_NS
 from tests.rest_long import rest_long
 from tests.scenarios.test_moved_optics import Simulated, simulated
 
@@ -67,7 +68,8 @@ def over_the_line(flight: GimbalFlight, config: Config, component: int = 154) ->
         arriving.append((event.stamp_ns + round(late_s * S), sender, round(boot_s * 1000), event))
     heartbeat = mavlink.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3)
     heartbeat._header = mavlink.MAVLink_header(heartbeat.id, srcSystem=1, srcComponent=1)
-    autopilot.receive(heartbeat, arriving[0][0])
+    for before_ns in (LISTEN_NS, 0):  # by the second it is known to be the only one on the line
+        autopilot.receive(heartbeat, arriving[0][0] - before_ns)
     for arrival_ns, sender, boot_ms, event in sorted(arriving, key=lambda each: each[0]):
         if isinstance(event, Frame):
             yield event

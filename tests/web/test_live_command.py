@@ -125,7 +125,7 @@ def test_each_program_ends_with_the_other(flight: tuple[StreamedFlight, list[obj
         (("--camera", "foo:bar"), "camera.device = 'foo:bar' is none of /dev/NAME, libcamera:ID, rtsp://HOST/PATH"),
         (("--set", "mount.pich_deg=3"), "unknown key 'mount.pich_deg'; did you mean 'mount.pitch_deg'?"),
         (("--telemetry", "foo:1"), "telemetry.url 'foo:1': unknown kind 'foo'; one of serial:/dev/NAME:BAUD"),
-        (("--set", "mount"), "--set mount: it is KEY=VALUE, as mount.pitch_deg=-45"),
+        (("--set", "mount"), "--set mount: it is SECTION.KEY=VALUE, as mount.pitch_deg=-45"),
         (("--camera-file", "none.json"), "none.json: no such file; pc-onboard calibrate makes one"),
     ],
 )
