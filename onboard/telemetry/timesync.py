@@ -21,7 +21,7 @@ from onboard.telemetry.clock_filter import ClockFilter
 
 NS_PER_S = 1_000_000_000
 BIN_NS = NS_PER_S // 2
-FIRST_FEW = 12  # exchanges, asked for in a hurry
+FIRST_FEW = 30  # exchanges, asked for in a hurry
 WINDOW_NS, LEAST_KEPT = 60 * NS_PER_S, 24  # over which, and over how many, the least round trip is sought
 # Between questions: autopilots pass them on to every radio, 28 bytes each. Asked once the offset has become less
 # certain by `GROWN_NS` (0.02 m at 20 m/s), or where it is not known as well, by a twentieth, as its own
