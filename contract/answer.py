@@ -45,7 +45,7 @@ EXPLANATIONS: dict[Status, str] = {
 
 
 def decimals(unit_m: float, most: int, radius_m: float) -> int:
-    """Of a coordinate for people, one whole unit of which is at most `unit_m`: as few as move a place by at most
+    """The decimals of a coordinate for people, one unit of which is at most `unit_m`: as few as move a place by at most
     ROUNDED_SHARE of its 90 % radius.
     """
     allowed_m = ROUNDED_SHARE * radius_m

@@ -1,4 +1,4 @@
-"""How old an aircraft's pictures are by the ground's monotonic clock, and how far that can be relied on. No I/O.
+"""The age of an aircraft's pictures by the ground's monotonic clock, and how far that can be relied on. No I/O.
 
 What a message states of its age is as old as the message: a packet of yesterday states a tenth of a second. So an age
 counts by what ties the aircraft's clock to now: the ground's own Unix clock where the two agree, or an answer of the
@@ -82,11 +82,11 @@ class AircraftClock:
 
     @property
     def is_contradicted(self) -> bool:
-        """Whether the last sets all came much later than they are stamped: the clock or they are not what they seem."""
+        """Return whether the last sets all came much later than stamped: the clock or they are not what they seem."""
         return self._contrary >= IN_A_ROW
 
     def is_certain(self, now: Moment) -> bool:
-        """Whether ages are known: the aircraft has answered, or its clock agrees with the ground's."""
+        """Return whether ages are known: the aircraft has answered, or its clock agrees with the ground's."""
         return self.is_asked or (self._offset_ns is not None and abs(self.behind_s(now)) <= AGREED_S)
 
     def behind_s(self, now: Moment) -> float:
@@ -102,11 +102,11 @@ class AircraftClock:
         return age_s if self.is_asked else age_s + abs(self.behind_s(now))
 
     def now_unix_ns(self, now: Moment) -> int:
-        """What the aircraft's clock shows."""
+        """The time that the aircraft's clock shows."""
         return now.monotonic_ns - self._offset_at(now.monotonic_ns)
 
     def latest_unix_ns(self, now: Moment) -> int:
-        """What no stamp of the session is beyond."""
+        """The time that no stamp of the session is beyond."""
         return now.monotonic_ns - self._least_at(now.monotonic_ns)
 
     def _note(self, offset_ns: int, monotonic_ns: int) -> None:

@@ -276,19 +276,19 @@ class SetCache:
             return None if (held := self._vehicles.get(vehicle)) is None else held.reply(Moment.now())
 
     def doubt(self, vehicle: str) -> str:
-        """What is to be known of the aircraft's clock, in words; empty where it agrees with this computer's."""
+        """The state of the aircraft's clock, in words; empty where it agrees with this computer's."""
         with self._lock:
             return "" if (held := self._vehicles.get(vehicle)) is None else held.doubt(Moment.now())
 
     def is_certain(self, vehicle: str) -> bool:
-        """Whether ages of a vehicle's pictures are known, and not only what they are at most; true before any came."""
+        """Return whether ages of a vehicle's pictures are known, not only their bound; true before any came."""
         with self._lock:
             held = self._vehicles.get(vehicle)
             clock = None if held is None else held.clock
             return clock is None or clock.is_certain(Moment.now())
 
     def is_of_now(self, vehicle: str, session: int) -> bool:
-        """Whether a message that states this session is of the one that runs; true before any set came."""
+        """Return whether a message that states this session is of the one that runs; true before any set came."""
         with self._lock:
             return (held := self._vehicles.get(vehicle)) is None or held.is_of_now(session)
 

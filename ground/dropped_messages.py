@@ -38,7 +38,7 @@ class DroppedMessages:
 
     @property
     def count(self) -> int:
-        """How many were not accepted, for whatever reason."""
+        """The number of messages that were not accepted, for whatever reason."""
         with self._lock:
             return self._reasons.total()
 

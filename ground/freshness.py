@@ -90,7 +90,7 @@ def stamped_elsewhen(stamp_unix_s: float, now_unix_s: float) -> str:
 
 
 def too_old(age_s: float | None, max_age_s: float) -> str:
-    """How old a picture is if that is too old, for people; empty if it is not."""
+    """The age of a picture that is too old, for people; empty if it is not."""
     if age_s is None:
         return "of unknown age (is the aircraft's software older than this?)"
     return f"{span(age_s)} old, more than {max_age_s:g} s" if age_s > max_age_s else ""

@@ -22,7 +22,7 @@ class LastReceived(Generic[T]):
         self._held: OrderedDict[str, T] = OrderedDict()
 
     def of(self, vehicle: str) -> T:
-        """What belongs to a vehicle of which something came now; made if it is new."""
+        """Return the value of a vehicle of which something came now; made if it is new."""
         held = self._held.get(vehicle)
         if held is None:
             held = self._held[vehicle] = self._make(vehicle)
@@ -32,7 +32,7 @@ class LastReceived(Generic[T]):
         return held
 
     def get(self, vehicle: str) -> T | None:
-        """What belongs to a vehicle; None if it is not there."""
+        """Return the value of a vehicle; None if it is not there."""
         return self._held.get(vehicle)
 
     def __contains__(self, vehicle: str) -> bool:

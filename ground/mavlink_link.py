@@ -123,7 +123,7 @@ class MavlinkLink:
         return sorted(self._vehicles) if self._endpoint.vehicle is None else [self._endpoint.vehicle]
 
     def received(self) -> list[tuple[int, bytes]]:
-        """What came for us within a moment, with the system that sent it.
+        """Return the messages for us within a moment, with the system that sent it.
 
         Raises LinkError where the link is broken, NumberRefused where an aircraft turns our number away.
         """

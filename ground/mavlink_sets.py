@@ -23,7 +23,7 @@ REOPEN_S = 1.0
 
 
 class RadioSystems:
-    """Which vehicle each MAVLink system is: the one that its first set names, for as long as this program listens."""
+    """The vehicle of each MAVLink system: the one that its first set names, for as long as this program listens."""
 
     def __init__(self) -> None:
         self._names: dict[int, str] = {}
@@ -44,7 +44,7 @@ class RadioSystems:
 
 @dataclass(frozen=True)
 class _Question:
-    """What a vehicle was asked, and who wants the answer: what its clock showed, and when it was asked."""
+    """A question to a vehicle, and who wants the answer: what its clock showed, and when it was asked."""
 
     asking: Asking
     asked_ns: int

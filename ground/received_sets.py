@@ -69,13 +69,13 @@ class ReceivedSets:
         self._forget_clocks()
 
     def answered_by_radio(self, sent_unix_ns: int, asked_ns: int, now: Moment) -> None:
-        """As `answered`, without the session: it is the one whose clock fits best."""
+        """Take an answer as `answered` does, without the session: it is the one whose clock fits best."""
         fits = min(self._clocks, key=lambda n: abs(self._clocks[n].now_unix_ns(now) - sent_unix_ns), default=None)
         if fits is not None:
             self.answered(fits, sent_unix_ns, asked_ns, now)
 
     def is_to_be_asked(self, now: Moment) -> bool:
-        """Whether the aircraft is to be asked now what its clock shows and which session runs; counted as asked."""
+        """Return whether to ask the aircraft now for its clock and its session; counted as asked."""
         clock = self.clock
         if clock is None and not self._clocks:
             return False  # nothing came by itself
@@ -95,7 +95,7 @@ class ReceivedSets:
         return None if clock is None else clock.age_s(capture_unix_ns, now)
 
     def is_of_now(self, session: int) -> bool:
-        """Whether what states this session is of the one that runs, or of a later one; true before any set came.
+        """Return whether what states this session is of the one that runs, or of a later one; true before any set came.
 
         A status states session 0 before its session's first picture.
         """
@@ -113,7 +113,7 @@ class ReceivedSets:
         return Reply(found.item, self.age_s(found.capture_unix_ns, now), later, doubt=self.doubt(now))
 
     def doubt(self, now: Moment) -> str:
-        """What is to be known of the aircraft's clock, in words; empty where it agrees with the ground's."""
+        """The state of the aircraft's clock, in words; empty where it agrees with the ground's."""
         clock = self.clock
         if clock is None or abs(clock.behind_s(now)) <= (STATED_S if clock.is_asked else AGREED_S):
             return ""
@@ -126,7 +126,7 @@ class ReceivedSets:
         return f"pictures are stamped {by}: {what}{asked}"
 
     def _runs(self, session: int, clock: AircraftClock, now: Moment) -> bool:
-        """Whether a set that came now shows that its session is the one that runs."""
+        """Return whether a set that came now shows that its session is the one that runs."""
         running = self.history.session
         if running in (None, session):
             return True

@@ -19,7 +19,7 @@ BEGAN_VARIABLE = "POINTCLICK_LONG_BEGAN"
 
 
 class LongTests:
-    """How many tests marked `long` a run leaves out, by file. Of workers the first reports: each collects all tests."""
+    """The number of long tests that a run leaves out, by file. Of workers the first reports: each collects all tests."""
 
     def __init__(self, config: pytest.Config, how_to_run: str) -> None:
         self._config = config

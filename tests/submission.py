@@ -114,7 +114,7 @@ def tried_by(file: str) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Choice:
-    """What a submission runs. `history` None: everything."""
+    """The choice of what a submission runs. `history` None: everything."""
 
     history: History | None
 

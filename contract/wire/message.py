@@ -30,7 +30,7 @@ def read_set(key: str, payload: bytes) -> FeatureSet:
 
 
 def peek_set(key: str, payload: bytes) -> Identity:
-    """Which set a message is, without decoding the rest of it."""
+    """Return which set a message is, without decoding the rest of it."""
     found = peek(payload)
     checked_vehicle(FEATURES, key, found.vehicle)
     return found

@@ -143,7 +143,7 @@ class _aircraft:  # noqa: N801  called like a function
         return [r for r in tracks if ago_s(r.vehicle, r.capture_unix_ns) <= self._stale_s]
 
     def dropped(self) -> list[str]:
-        """What came and was not accepted, a line for each reason."""
+        """The messages that were not accepted, a line for each reason."""
         if self._recording is not None:
             return []
         doubts = [f"{name}: {doubt}" for name in self._cache.vehicles if (doubt := self._cache.doubt(name))]

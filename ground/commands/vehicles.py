@@ -97,7 +97,7 @@ def _cells(one: Present) -> tuple[str, ...]:
 
 
 def _stamped(one: Present) -> str:
-    """How far from now its status was stamped: it is an old one, or a clock is wrong; empty if neither."""
+    """The time between a status's stamp and now, in words, where it is old or a clock is wrong; empty if neither."""
     if one.status is None or one.status_age_s is None:
         return ""
     return stamped_elsewhen(one.status.unix_s, time.time() - one.status_age_s)

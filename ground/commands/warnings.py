@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 
 class Warnings:
-    """What was printed last. One that only counts on is printed again when its number has doubled."""
+    """The warnings printed last. One that only counts on is printed again when its number has doubled."""
 
     def __init__(self) -> None:
         self._shown: dict[str, int] = {}

@@ -142,7 +142,7 @@ def run(args: argparse.Namespace) -> int:
 
 @dataclass(eq=False)
 class _OfVehicle:
-    """What came from one vehicle: its last status, and when its sets did."""
+    """The last status of one vehicle, and when its sets came."""
 
     state: VehicleStatus | None = None
     times: deque[float] = field(default_factory=lambda: deque(maxlen=1000))

@@ -20,7 +20,7 @@ _SPELT = {word[0]: word for word in _LETTERS.split()}
 
 
 def decimals(form: str, ce90_m: float | None) -> int:
-    """Of degrees, minutes, seconds or utm: as few as move a place by at most ROUNDED_SHARE of its 90 % radius."""
+    """The decimals of degrees, minutes, seconds or UTM: moved by at most ROUNDED_SHARE of the 90 % radius."""
     return as_few_as_mean_something(*_UNITS[form], UNKNOWN_M if ce90_m is None else ce90_m)
 
 

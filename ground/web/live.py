@@ -330,7 +330,7 @@ class LiveSource:
             known.status, known.at_s = status, time.monotonic()
 
     def _is_of_now(self, vehicle: str, session: int) -> bool:
-        """Whether what states this session is of the one that runs, wherever the vehicle is received."""
+        """Return whether what states this session is of the one that runs, wherever the vehicle is received."""
         return all(cache.is_of_now(vehicle, session) for cache in self._caches.values() if vehicle in cache.vehicles)
 
     def _ask(self, endpoint: str, vehicle: str, frame: int) -> FeatureSet | None:

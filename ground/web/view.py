@@ -154,7 +154,7 @@ def _shift_m(s: FeatureSet) -> float:
 
 
 def _is_ellipsoidal(s: FeatureSet) -> bool:
-    """Whether `camera_height_m` and `_shift_m` together are a height above the ellipsoid."""
+    """Return whether `camera_height_m` and `_shift_m` together are a height above the ellipsoid."""
     return s.height_datum is HeightDatum.ELLIPSOID or not np.isnan(s.undulation_m)
 
 

@@ -33,7 +33,7 @@ MISFIT = 6.0  # times the variance expected, from which on a log is not that of 
 
 @dataclass(frozen=True)
 class Stated:
-    """What was stated of the offset (s, to be added to the camera's time), one sigma, and by what."""
+    """The stated offset (s, to be added to the camera's time), one sigma, and by what."""
 
     offset_s: float
     sigma_s: float
@@ -58,7 +58,7 @@ class Unknown:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What is known: the log's path, the pictures' moments (ns) with one sigma (s) of each, motion, shots."""
+    """The data of a search: the log's path, the pictures' moments (ns) with one sigma (s) of each, motion, shots."""
 
     track: LogTrack
     moments_ns: Sequence[int]
@@ -154,7 +154,7 @@ class _Cost:
         return out
 
     def is_consistent(self, square: Array) -> bool:
-        """Whether the best offset is that of pictures and log which belong together: by most of the pairs."""
+        """Return whether pictures and log belong together at the best offset, by most of the pairs."""
         explained = np.isfinite(square)
         is_explained = bool(np.count_nonzero(explained) >= MOST_OF * len(square))
         return bool(self._evidence.shots_ns) or (is_explained and _dispersion(square) < MISFIT)

@@ -1,4 +1,4 @@
-"""How well pictures' motion fits a log's at any time offset between them. Section 28 of docs/mathematics-clock.md.
+"""The fit of pictures' motion to a log's at any time offset between them. Section 28 of docs/mathematics-clock.md.
 
 The motion from one picture to the next is taken as four numbers, those of a similarity: shift (2), turn, scale. Each
 offset predicts them over level ground; what is common to the flight (mount, height of the ground) is estimated with it.
@@ -74,7 +74,7 @@ class MotionCost:
         self._precision = np.diag([noise.mount_rad**-2.0] * 3 + [noise.height**-2.0, max(noise.focal, 1e-3) ** -2.0])
 
     def __call__(self, offsets_s: Array) -> MotionFit:
-        """What every offset leaves, by the hypothesis of the mount that leaves least."""
+        """The cost that every offset leaves, by the hypothesis of the mount that leaves least."""
         step = max(CHUNK // max(len(self.pairs), 1), 1)
         parts = []
         for begin in range(0, len(offsets_s), step):

@@ -1,4 +1,4 @@
-"""How the scene moves from one picture to the next, over the whole flight: small pictures, matched descriptors."""
+"""The motion of the scene from one picture to the next, over the whole flight: small pictures, matched descriptors."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def measure(
     chosen: Sequence[tuple[int, int]],
     picture: Callable[[int], Picture | None],
 ) -> Pairs:
-    """Those of the chosen pairs whose motion is found. `picture(i)` decodes one, of any size; each is asked for once,
+    """Return the chosen pairs whose motion is found. `picture(i)` decodes one, of any size; each is asked for once,
     in order. A picture that cannot be decoded has no pair.
     """
     moments, at, to = [], [], []

@@ -1,4 +1,4 @@
-"""How well the autopilot's record of shots fits pictures at any time offset; either side may have lost some."""
+"""The fit of the autopilot's record of shots to pictures at any time offset; either side may have lost some."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def shot_cost(moments_ns: Sequence[int], shots_ns: Sequence[int], offsets_s: Arr
 
 
 def _misses(of: Array, among: Array, sigma_s: float) -> Array:
-    """What each costs by its distance from the nearest; half of a square, because a pair is counted by both."""
+    """The cost of each by its distance from the nearest; half of a square, because a pair is counted by both."""
     right = np.clip(np.searchsorted(among, of), 1, max(len(among) - 1, 1))
     near = np.minimum(np.abs(of - among[right - 1]), np.abs(of - among[right % len(among)]))
     out: Array = -2.0 * np.log(np.exp(-0.25 * np.square(near / sigma_s)) + LOST)

@@ -1,4 +1,4 @@
-"""Where in a folder a flight's pictures are, and what lies with them: its log, its times, its configuration.
+"""The pictures of a flight within a folder, and what lies with them: its log, its times, its configuration.
 
 A card has its pictures in DCIM/100MEDIA, a flight's folder has them in frames/, and the log lies next to them, above or
 below. What is found is named; where there are several of anything, the user names the one.

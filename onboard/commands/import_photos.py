@@ -75,7 +75,7 @@ class _Times:
 
     @property
     def is_of_flight(self) -> bool:
-        """Whether they are a flight's own, made for its log."""
+        """Return whether they are a flight's own, made for its log."""
         return self.source.endswith(STAMPS)
 
     @property
@@ -183,7 +183,7 @@ def _log(
 
 
 def _stated(photos: list[PhotoMetadata], times: _Times, given: tuple[float, float] | None) -> Stated | None:
-    """What the camera's clock is off by: as a person states, else by a receiver's time in the photographs."""
+    """The offset of the camera's clock: as a person states, else by a receiver's time in the photographs."""
     if given is not None:
         return Stated(-given[0], math.hypot(given[1], WHOLE_SECOND_S * times.is_whole), "--clock-offset")
     if times.is_of_flight:

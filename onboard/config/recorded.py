@@ -9,7 +9,7 @@ from onboard.config.schema import Config, to_toml
 
 
 def recorded_toml(config: Config) -> str:
-    """As `to_toml`, without secrets."""
+    """Return what `to_toml` does, without secrets."""
     return to_toml(Config.model_validate(_without_secrets(config.model_dump())))
 
 

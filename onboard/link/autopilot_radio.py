@@ -69,7 +69,7 @@ class AutopilotRadio:
         self.clicks.close()
 
     def charge(self, wire_bytes: int) -> None:
-        """What the autopilot passes on of ours in addition: heartbeats, time requests, texts to the pilot."""
+        """Count what the autopilot passes on of ours in addition: heartbeats, time requests, texts to the pilot."""
         self._bucket.take(wire_bytes, self._now_ns() / 1e9)
 
     def know_ground_stations(self, low: int, high: int) -> None:

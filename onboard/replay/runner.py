@@ -144,7 +144,7 @@ class Events(Protocol):
 
 
 class ProgressLines(io.StringIO):
-    """What a bar is written to where there is no terminal: each state that it shows is a line."""
+    """The file that a bar is written to without a terminal: each state that it shows is a line."""
 
     def __init__(self, out: TextIO) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""Who may read a file: asked by root of the service's own user, which may not enter root's folders."""
+"""The right to read a file, asked by root for the service's own user, which may not enter root's folders."""
 
 from __future__ import annotations
 

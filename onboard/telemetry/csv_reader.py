@@ -35,7 +35,7 @@ def looks_like_table(head: bytes) -> bool:
 
 
 def has_positions(head: bytes) -> bool:
-    """Whether a file that begins so is such a table with all that it needs, and nothing else."""
+    """Return whether a file that begins so is such a table with all that it needs, and nothing else."""
     names = _names(head)
     return set(NEEDED) <= names <= set(COLUMNS)
 

@@ -32,7 +32,7 @@ class GroundStations:
 
     @property
     def is_open(self) -> bool:
-        """Whether the autopilot may still report others than `range`: until then no ground may be spoken to."""
+        """Return whether the autopilot may still report others than `range`: until then no ground may be spoken to."""
         return self._is_asked and not self._is_known and not self._has_given_up
 
     @property

@@ -61,7 +61,7 @@ def read_log(
 
 
 def looks_like_log(path: Path) -> bool:
-    """Whether a file that was not named may be a log: not what no log is, and no table without positions and times."""
+    """Return whether a file that was not named may be a log; a table without positions and times is none."""
     try:
         head = _head(path)
     except InputError:

@@ -64,7 +64,7 @@ class Autopilot:
 
     @property
     def is_known(self) -> bool:
-        """Whether a heartbeat of the vehicle's autopilot has been received, and so what it is."""
+        """Return whether a heartbeat of the vehicle's autopilot has been received, and so what it is."""
         return self._kind != int(mavlink.MAV_AUTOPILOT_INVALID)
 
     # --- in ---

@@ -109,11 +109,11 @@ class TimeSync:
 
     @property
     def is_settled(self) -> bool:
-        """Whether it has what it needs to predict how long it will do."""
+        """Return whether it has what it needs to predict how long it will do."""
         return self.exchanges >= FIRST_FEW and not self.outliers
 
     def grown_ns(self, boot_ns: int) -> float:
-        """What one sigma of the offset has grown by, in squares, since the newest exchange."""
+        """The growth of one sigma of the offset (ns), in squares, since the newest exchange."""
         if self._filter is None:
             return math.inf
         return math.sqrt(max(self._filter.at(boot_ns)[2] - self._filter.at(self._filter.boot_ns)[2], 0.0))
@@ -218,7 +218,7 @@ class LinkClock:
         return restarted and self._arrivals.segments > 1
 
     def is_due(self, now_ns: int) -> bool:
-        """Whether a TIMESYNC request is worth its bytes now."""
+        """Return whether a TIMESYNC request is worth its bytes now."""
         if self._asked_ns is None:
             return True
         since_ns = now_ns - self._asked_ns
@@ -343,5 +343,5 @@ class LinkClock:
 
     @property
     def _is_answered(self) -> bool:
-        """Whether no question has been waiting for its answer for long."""
+        """Return whether no question has been waiting for its answer for long."""
         return self._waiting_boot_ns is None or self._newest_ns - self._waiting_boot_ns <= STALE_NS

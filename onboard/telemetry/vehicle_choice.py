@@ -1,4 +1,4 @@
-"""Which vehicle on the line is ours: the configured one, else the only one that is received. No link, no thread.
+"""The vehicle on the line that is ours: the configured one, else the only one that is received. No link, no thread.
 
 A second vehicle's positions must never become ours. So none is accepted before others had the time to be received;
 where several are, none is, until one is configured. What is ours stays ours, whoever comes later and whoever goes: an
@@ -22,13 +22,13 @@ KEY = "set telemetry.system"
 
 
 def is_autopilot(message: Any) -> bool:
-    """Whether a message is an autopilot's own heartbeat."""
+    """Return whether a message is an autopilot's own heartbeat."""
     is_heartbeat = message.get_type() == "HEARTBEAT" and message.get_srcComponent() == AUTOPILOT_COMPONENT
     return bool(is_heartbeat and message.autopilot != mavlink.MAV_AUTOPILOT_INVALID)
 
 
 def kind_of(heartbeat: Any) -> str:
-    """What flies, for people: "ArduPilot fixed wing"."""
+    """The kind of vehicle, for people: "ArduPilot fixed wing"."""
     entry = mavlink.enums["MAV_TYPE"].get(heartbeat.type)
     what = "" if entry is None else entry.name.removeprefix(TYPE).replace("_", " ").lower()
     return f"{KINDS.get(heartbeat.autopilot, 'autopilot')} {what}".strip()
@@ -76,11 +76,11 @@ class VehicleChoice:
 
     @property
     def is_refused(self) -> bool:
-        """Whether several were received, none of them is configured, and so none is accepted."""
+        """Return whether several were received, none of them is configured, and so none is accepted."""
         return self.system is None and bool(self._contested)
 
     def doubt(self, now_ns: int) -> str:
-        """What speaks against the vehicle that is followed; empty where it is configured, or no other was received."""
+        """The doubt about the vehicle that is followed; empty where it is configured, or no other was received."""
         if self._is_configured or self.system is None:
             return ""
         others = self._recent(now_ns)
@@ -91,12 +91,12 @@ class VehicleChoice:
         return ""
 
     def instead(self, now_ns: int) -> str:
-        """Who else is received, for a reason that ours is silent; empty if no one is."""
+        """The others that are received, for a reason that ours is silent; empty if no one is."""
         others = self._recent(now_ns, but=self.system)
         return f"; received instead: {_listed(others)}. If that is this aircraft, {KEY}" if others else ""
 
     def _recent(self, now_ns: int, but: int | None = None) -> list[str]:
-        """Who was received recently, each with what it is."""
+        """The vehicles received recently, each with what it is."""
         return [
             f"{system} {kind}"
             for system, (kind, at_ns) in sorted(self._received.items())
