@@ -19,7 +19,7 @@ BEGAN_VARIABLE = "POINTCLICK_LONG_BEGAN"
 
 
 class LongTests:
-    """The number of long tests that a run leaves out, by file. Of workers the first reports: each collects all tests."""
+    """The number of long tests that a run leaves out, by file. The first worker reports: each collects all."""
 
     def __init__(self, config: pytest.Config, how_to_run: str) -> None:
         self._config = config
