@@ -11,8 +11,8 @@ import time
 from dataclasses import dataclass
 
 AGREED_S = 0.5  # clocks that differ by no more need no answer; they count as older by the difference all the same
-# By how much a set may come before what its session's clock shows, as long as that is known from sets alone: longer
-# than a link holds a set back that came before. One that is stamped further ahead is not what it seems.
+# By how much a set may come before what its session's clock shows: longer than a link holds a set back that came
+# before. One that is stamped further ahead is not what it seems.
 AHEAD_S = 60.0
 # Sets in a row that all contradict a clock of which nothing else is known: the first one, from which it is, was not
 # what it seemed.
@@ -46,7 +46,6 @@ class AircraftClock:
         self._offset_ns: int | None = None  # monotonic minus the aircraft's clock, at most
         self._noted_ns = 0
         self._contrary = 0  # sets in a row
-        self._least_ns, self._answered_ns = 0, 0  # of the offset by the last answer, and when that came
         self.is_asked = False  # the aircraft itself has answered what its clock shows
 
     def received(self, sent_unix_ns: int, now: Moment) -> bool:
@@ -66,7 +65,7 @@ class AircraftClock:
         if not is_certain and (abs(difference_ns) <= AGREED_S * 1e9 or self._contrary >= IN_A_ROW):
             self._note(offset_ns, now.monotonic_ns)
             return True
-        if offset_ns < self._least_at(now.monotonic_ns):
+        if offset_ns < held_ns - AHEAD_S * 1e9:
             return False
         if offset_ns < held_ns:
             self._note(offset_ns, now.monotonic_ns)
@@ -77,7 +76,6 @@ class AircraftClock:
         least_ns, most_ns = asked_ns - sent_unix_ns, answered_ns - sent_unix_ns
         held_ns = most_ns if self._offset_ns is None else self._offset_at(answered_ns)
         self._note(min(max(held_ns, least_ns), most_ns), answered_ns)
-        self._least_ns, self._answered_ns = least_ns, answered_ns
         self.is_asked = True
 
     @property
@@ -107,16 +105,10 @@ class AircraftClock:
 
     def latest_unix_ns(self, now: Moment) -> int:
         """The time that no stamp of the session is beyond."""
-        return now.monotonic_ns - self._least_at(now.monotonic_ns)
+        return self.now_unix_ns(now) + round(AHEAD_S * 1e9)
 
     def _note(self, offset_ns: int, monotonic_ns: int) -> None:
         self._offset_ns, self._noted_ns, self._contrary = offset_ns, monotonic_ns, 0
-
-    def _least_at(self, now_ns: int) -> int:
-        """The least that the offset can be: by sets alone they were held back, after an answer none comes before it."""
-        if not self.is_asked:
-            return self._offset_at(now_ns) - round(AHEAD_S * 1e9)
-        return self._least_ns - round(self.DRIFT * (now_ns - self._answered_ns) + AGREED_S * 1e9)
 
     def _offset_at(self, now_ns: int) -> int:
         return (self._offset_ns or 0) + round(self.DRIFT * (now_ns - self._noted_ns))

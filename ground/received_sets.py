@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from contract.feature_set import FeatureSet
 from contract.history import History
-from ground.aircraft_clock import AGREED_S, AircraftClock, Moment
+from ground.aircraft_clock import AGREED_S, AHEAD_S, AircraftClock, Moment
 from ground.freshness import STATED_S, Later, Reply, span
 
 SILENT_S = 10.0  # without a set of the session that ran, after which a later one may be the next, though it is doubtful
@@ -38,7 +38,7 @@ class ReceivedSets:
         clock = self._clocks.setdefault(s.session, AircraftClock())
         if not clock.received(s.capture_unix_ns + round((age_s or 0.0) * 1e9), now):
             self._is_contradicted = True
-            return f"{self.vehicle!r} stamps sets ahead of its own clock"
+            return f"{self.vehicle!r} stamps sets more than {AHEAD_S:.0f} s ahead of its own clock"
         self.history.forget_after(s.session, clock.latest_unix_ns(now))
         self.history.add(s, s, runs=self._runs(s.session, clock, now))
         self._forget_clocks()

@@ -170,33 +170,7 @@ def test_one_set_that_is_stamped_an_hour_ahead_is_left_out_and_the_others_stay(b
     assert len(frames) >= 23 - 5 and at + 1 not in frames and world.age_s(12.0) < 1.0
     if at:
         assert [k for k, why in enumerate(left_out) if why] == [at] and len(frames) == 23
-        assert "'uav-1' stamps sets ahead of its own clock" in left_out[at]
-
-
-@pytest.mark.parametrize("behind_s", [0.0, HOUR_S])
-@pytest.mark.parametrize("ahead_s", [2.0, 30.0, 59.0])
-@pytest.mark.parametrize("is_before", [False, True], ids=["after the answer", "before it"])
-def test_after_an_answer_no_set_moves_the_clock_ahead_of_it(behind_s: float, ahead_s: float, is_before: bool) -> None:
-    """One set 30 s ahead made all that followed 30 s old, and refused as stale, to the end of the session."""
-    world = World()
-    for k in range(24):
-        if k == 5 + is_before:
-            world.answer(0.5 * k - 0.1, behind_s)
-        left_out = world.receive(0.5 * k, behind_s, ago_s=-ahead_s * (k == 5))
-        assert (left_out != "") == (k == 5 and not is_before)
-    assert world.newest().frame == 24 and world.age_s(11.6) < 0.5
-    assert len(world.sets.history) >= 23  # the false one is forgotten with the answer
-
-
-def test_an_aircraft_s_clock_that_goes_fast_is_asked_for_again() -> None:
-    world = World()
-    for k in range(4):
-        world.receive(0.5 * k, HOUR_S)
-    world.answer(2.0, HOUR_S)
-    assert "ahead" in world.receive(900.0, HOUR_S - 2.0, session_s=-12.0)  # 2,200 ppm
-    assert world.sets.is_to_be_asked(world.moment(900.0))
-    world.answer(900.1, HOUR_S - 2.0, session_s=-12.0)
-    assert world.receive(900.5, HOUR_S - 2.0, session_s=-12.0) == "" and world.age_s(900.5) < 0.3
+        assert "'uav-1' stamps sets more than 60 s ahead of its own clock" in left_out[at]
 
 
 def test_a_false_stamp_that_happens_to_be_right_by_the_ground_s_clock_is_found_out_by_asking() -> None:
