@@ -189,7 +189,7 @@ def test_features_in_one_place_with_next_to_no_noise_are_survived(nugget: float)
 
 @pytest.mark.parametrize("power", [0, 3, 6])
 def test_features_get_as_much_more_noise_as_a_factor_takes_and_no_more(power: int) -> None:
-    """Of six in one place: what the factor leaves of the difference of two is at most ten times what it lacked."""
+    """The noise added to six in one place leaves a difference of at most ten times what the factor lacked."""
     one_place = np.full((6, 6), 900.0)
     rounding = np.finfo(float).eps * np.trace(one_place)
     lacking = 0.5 * rounding * 10.0**power

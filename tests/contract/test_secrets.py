@@ -1,4 +1,4 @@
-"""What is shown, logged, sent or recorded has no secret of an address, and everything else as it was."""
+"""Texts that are shown, logged, sent or recorded: each has no secret of an address, and everything else as it was."""
 
 from __future__ import annotations
 

@@ -67,7 +67,7 @@ class Flight:
                 query.reply(OWN, encode(now(FALSE)), attachment=b'{"age_s":0.1}')
 
     def until(self, holds: Callable[[], object]) -> bool:
-        """Whether it comes to hold while both publish."""
+        """Return whether it comes to hold while both publish."""
 
         def again() -> object:
             self.publish()
@@ -106,7 +106,7 @@ def test_the_page_and_its_journal_have_the_true_aircraft_and_name_who_lies(
 def test_a_journal_or_a_recording_that_holds_such_sets_gives_none_of_them(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """As an earlier version has written them, which recorded by the key alone."""
+    """Files as an earlier version wrote them, which recorded by the key alone."""
     path = tmp_path / "uav-2-7.001.mcap"
     with SessionRecorder(path, "uav-2") as recorder:
         recorder.write_set(FALSE)
@@ -127,7 +127,7 @@ def test_watch_record_and_cot_show_the_true_aircraft_alone(
     link = ["--connect", flight.endpoint, "--credentials", str(flight.keys)]
 
     def both(*words: str) -> tuple[str, str]:
-        """What a command prints, both aircraft publishing meanwhile."""
+        """The output of a command, both aircraft publishing meanwhile."""
         end = threading.Event()
 
         def publish() -> None:

@@ -1,4 +1,4 @@
-"""Which session runs and how old a picture is: packets of yesterday, clocks that are wrong, sets stamped ahead."""
+"""The session that runs and the age of a picture: packets of yesterday, clocks that are wrong, sets stamped ahead."""
 
 from __future__ import annotations
 
@@ -147,7 +147,7 @@ def test_an_aircraft_that_begins_again_with_its_clock_set_back_is_received_when_
 
 
 def test_a_later_session_of_a_doubtful_clock_runs_when_the_one_before_is_silent() -> None:
-    """Where no one may ask, as viewers: it is shown, and as old as it may be."""
+    """An aircraft that no one may ask, as for viewers, is shown, and as old as it may be."""
     world = World()
     world.receive(0.0)
     assert ASIDE in world.receive(5.0, -HOUR_S, session_s=4.0)

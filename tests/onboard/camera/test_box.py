@@ -1,4 +1,4 @@
-"""What decodes a camera's stream cannot open keys, state and recordings, nor look into the daemon."""
+"""The decoder of a camera's stream cannot open keys, state and recordings, nor look into the daemon."""
 
 from __future__ import annotations
 
