@@ -135,10 +135,11 @@ BAD_PLACE = "<Placemark><name>bad</name><Point><coordinates>{}</coordinates></Po
 
 
 def kmz(text: str, name: str = "doc.kml") -> bytes:
+    """Return a KMZ archive of ``text`` whose bytes do not depend on the time: they are part of a test's name."""
     out = io.BytesIO()
-    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("files/a.png", b"x")
-        archive.writestr(name, text)
+    with zipfile.ZipFile(out, "w") as archive:
+        for member, content in (("files/a.png", "x"), (name, text)):
+            archive.writestr(zipfile.ZipInfo(member), content, zipfile.ZIP_DEFLATED)
     return out.getvalue()
 
 
