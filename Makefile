@@ -151,8 +151,14 @@ lint: $(INSTALLED)
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check --quiet . || { echo "not formatted; run $(BIN)/ruff format ."; exit 1; }
 
+# A new clone begins with what the last run on this machine kept: mypy reads again what differs by its hash. One file,
+# replaced at once, because two runs may not share a cache that both write.
+MYPY_KEPT ?= $(HOME)/.cache/pointclick/mypy.tar
 types: $(INSTALLED)
+	@test -d .mypy_cache || ! test -f "$(MYPY_KEPT)" || tar -xf "$(MYPY_KEPT)" || rm -rf .mypy_cache
 	@$(BIN)/mypy
+	@mkdir -p "$(dir $(MYPY_KEPT))" && new=$$(mktemp "$(MYPY_KEPT).XXXXXX") && tar -cf "$$new" .mypy_cache && mv "$$new" "$(MYPY_KEPT)" \
+		|| { rm -f "$$new"; echo "$(MYPY_KEPT) cannot be written: the next clone checks types from nothing"; }
 
 # $(1) succeeds, or Debian's packages $(2) are installed where we may; else it is said that $(3) will be left out.
 define from_debian
