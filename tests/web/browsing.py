@@ -106,6 +106,8 @@ class Operator:
         self.page.evaluate("() => document.querySelectorAll('dialog[open]').forEach(dialog => dialog.close())")
         self.page.set_viewport_size(LAPTOP)
         self.page.locator("#theme").select_option("auto")
+        if self.page.locator("#follow").get_attribute("aria-pressed") == "false":
+            self.page.locator("#follow").click()
         self.page.locator("#stage").focus()
         for key in ("Escape", "0", "5"):
             self.page.keyboard.press(key)
