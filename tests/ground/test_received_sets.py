@@ -173,6 +173,70 @@ def test_one_set_that_is_stamped_an_hour_ahead_is_left_out_and_the_others_stay(b
         assert "'uav-1' stamps sets more than 60 s ahead of its own clock" in left_out[at]
 
 
+@pytest.mark.parametrize("ahead_s", [2.0, 5.0, 30.0, 59.0])
+@pytest.mark.parametrize(
+    ("behind_s", "answers_s"),
+    [(0.0, []), (0.3, []), (0.0, [2.2]), (HOUR_S, [2.2]), (HOUR_S, [2.7]), (-HOUR_S, [0.1, 2.2, 2.7, 6.1])],
+)
+def test_one_set_up_to_a_minute_ahead_is_forgotten_and_makes_none_old(
+    ahead_s: float, behind_s: float, answers_s: list[float]
+) -> None:
+    """One set 30 s ahead made all that followed 30 s old, and refused as stale, to the end of the session."""
+    world = World()
+    for k in range(24):
+        for at_s in answers_s:
+            if 0.5 * (k - 1) < at_s <= 0.5 * k:
+                world.answer(at_s, behind_s)
+        assert world.receive(0.5 * k, behind_s, ago_s=-ahead_s * (k == 5)) == ""
+        if k == 5 and min(answers_s, default=0.0) < 2.5:  # a claim: what is true of the two the next set shows
+            assert world.sets.is_to_be_asked(world.moment(2.5)) and world.age_s(2.5) > 0.9 * ahead_s
+        if k > 5:
+            assert [e.frame for e in world.sets.history.ordered()] == [f for f in range(1, k + 2) if f != 6]
+            assert world.age_s(0.5 * k + 0.1) < 0.9
+    assert not world.sets.is_to_be_asked(world.moment(30.0))
+
+
+@pytest.mark.parametrize("ahead_s", [5.0, 30.0, 59.0])
+@pytest.mark.parametrize("behind_s", [0.0, HOUR_S])
+def test_two_sets_ahead_in_a_row_make_others_old_until_the_next_answer(ahead_s: float, behind_s: float) -> None:
+    world = World()
+    world.answer(-0.1, behind_s)
+    for k in range(24):
+        assert world.receive(0.5 * k, behind_s, ago_s=-ahead_s * (k in (5, 6))) == ""
+        if k == 8:
+            assert world.sets.is_to_be_asked(world.moment(4.0))
+            world.answer(4.1, behind_s)
+        if k > 8:
+            assert [e.frame for e in world.sets.history.ordered()] == [f for f in range(1, k + 2) if f not in (6, 7)]
+            assert world.age_s(0.5 * k + 0.1) < 0.4
+
+
+@pytest.mark.parametrize("step_s", [1.0, 14.0])
+@pytest.mark.parametrize("late_s", [0.0, 0.3, 3.0])
+@pytest.mark.parametrize("answers", [[], [10], [10, 11, 25], list(range(40))])
+def test_of_sets_that_are_sent_faster_than_taken_none_is_dropped(
+    step_s: float, late_s: float, answers: list[int]
+) -> None:
+    """A flight played in fast motion: its clock leaps from set to set, and does not go back.
+
+    Its answers state what it showed when it was asked, two sets before. Every third set is late, and holds the others.
+    """
+    world, at_s = World(), 0.0
+    for k in range(40):
+        sent_s = 0.05 * k
+        at_s = max(at_s, sent_s + (late_s if k % 3 == 0 else 0.0))
+        showed_s = NOW_UNIX_S - YEARS_S + sent_s + step_s * k
+        s = dataclasses.replace(BASE, frame=k, capture_unix_ns=round((showed_s - 0.1) * 1e9), session=1)
+        assert world.sets.take(s, 0.1, world.moment(at_s)) == ""
+        if k in answers:
+            showed_ns = round((showed_s - 2 * (step_s + 0.05)) * 1e9)
+            world.sets.answered(1, showed_ns, world.moment(sent_s - 0.1).monotonic_ns, world.moment(at_s))
+        assert [e.frame for e in world.sets.history.ordered()] == list(range(k + 1))
+    assert world.newest().frame == 39
+    world.sets.answered(1, round((showed_s + 8.0) * 1e9), world.moment(9.9).monotonic_ns, world.moment(10.0))
+    assert len(world.sets.history) == 40 and world.age_s(10.0) == pytest.approx(8.1, abs=0.2)
+
+
 def test_a_false_stamp_that_happens_to_be_right_by_the_ground_s_clock_is_found_out_by_asking() -> None:
     """An aircraft an hour behind, and one set an hour ahead of that: what it contradicts goes on."""
     world = World()
