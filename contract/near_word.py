@@ -7,12 +7,15 @@ import re
 from collections.abc import Iterable
 from typing import Any
 
+CUTOFF = 0.6  # least likeness by difflib: two letters swapped in a word of five have it, another word does not
 _UNKNOWN = re.compile(r"invalid choice: '([^']*)' \(choose from (.*)\)", re.DOTALL)
 
 
 def near_word(word: str, known: Iterable[str]) -> str | None:
     """The known word that is written nearly so; None where none is."""
-    found = difflib.get_close_matches(word.lower(), list(known), n=1, cutoff=0.6)
+    names = list(known)
+    begun = [name for name in names if name.startswith(f"{word.lower()}_")]  # without its unit
+    found = begun or difflib.get_close_matches(word.lower(), names, n=1, cutoff=CUTOFF)
     return found[0] if found else None
 
 

@@ -5,13 +5,13 @@ Python's JSON reads 1e999 as infinity and NaN as a number, and a key that is mis
 
 from __future__ import annotations
 
-import difflib
 import json
 import math
 from collections.abc import Iterable, Sequence
 from typing import Any
 
 from contract.errors import InputError
+from contract.near_word import near_word
 
 
 def object_of(text: str | bytes, what: str) -> dict[str, Any]:
@@ -30,9 +30,8 @@ def check_keys(content: Iterable[str], known: Sequence[str], what: str, needed: 
     keys = list(content)
     for key in keys:
         if key not in known:
-            near = [name for name in known if name.startswith(f"{key}_")]
-            near = near or difflib.get_close_matches(key, known, n=1, cutoff=0.5)
-            hint = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(known)}"
+            near = near_word(key, known)
+            hint = f"known are {', '.join(known)}" if near is None else f"did you mean {near!r}?"
             raise InputError(f"{what}: unknown key {key[:40]!r}; {hint}")
     for key in needed:
         if key not in keys:

@@ -6,7 +6,6 @@ test holds the two together, so a key is added here and nowhere else. A file may
 
 from __future__ import annotations
 
-import difflib
 import inspect
 import json
 import textwrap
@@ -20,6 +19,7 @@ from pydantic import Field, ValidationError, model_validator
 from pydantic.fields import FieldInfo
 
 from contract.errors import ConfigError
+from contract.near_word import near_word
 from contract.thermal_scale import ThermalScale
 from onboard.config.second_camera import SecondCamera
 from onboard.config.section import Section, choice, quantity
@@ -508,18 +508,17 @@ def _first_complaint(error: ValidationError) -> str:
 
 
 def _unknown_key(key: str, value: object) -> str:
-    known = list(key_table())
-    candidates = [name for name, _ in _sections()] if isinstance(value, dict) else known
-    near = difflib.get_close_matches(key, candidates, n=1, cutoff=0.5)
-    if not near and "." in key:  # the right key in the wrong section
-        tails = {name.split(".", 1)[1]: name for name in known}
-        near = [tails[tail] for tail in difflib.get_close_matches(key.split(".", 1)[1], list(tails), n=1, cutoff=0.7)]
-    if not near:  # the right key outside any section
-        tails = {name.split(".", 1)[1]: name for name in known}
-        near = [tails[tail] for tail in difflib.get_close_matches(key, list(tails), n=1, cutoff=0.7)]
+    known, (section, _, name) = key_table(), key.partition(".")
+    if isinstance(value, dict):
+        near = near_word(key, [section for section, _ in _sections()])
+    else:  # the right key elsewhere; or one nearly so in its own section, then in any
+        here = {path.removeprefix(f"{section}."): path for path in known if path.startswith(f"{section}.")}
+        anywhere = {path.split(".", 1)[1]: path for path in known}
+        nearly = (names[found] for names in (here, anywhere) if (found := near_word(name or key, names)))
+        near = anywhere.get(name or key) or next(nearly, None)
     kind = "section" if isinstance(value, dict) else "key"
     return f"unknown {kind} '{key}'" + (
-        f"; did you mean '{near[0]}'?" if near else f"; known sections: {', '.join(n for n, _ in _sections())}"
+        f"; known sections: {', '.join(n for n, _ in _sections())}" if near is None else f"; did you mean '{near}'?"
     )
 
 

@@ -96,6 +96,8 @@ def test_a_camera_file_survives(tmp_path: Path) -> None:
         ({"size_px": [640.5, 480]}, "640.5: must be a whole number"),
         ({"size_px": [float("inf"), 480]}, "size_px"),
         ({"distortion": [0.1] * 5}, "unknown key 'distortion'; did you mean 'distortion_opencv_k1_k2_p1_p2_k3'"),
+        ({"FX_PX": 500.0}, "unknown key 'FX_PX'; did you mean 'fx_px'"),
+        ({"fov": 60.0}, "unknown key 'fov'; known are "),
         ({"fx": 500.0}, "unknown key 'fx'; did you mean 'fx_px'"),
         ({"distortion_opencv_k1_k2_p1_p2_k3": [-40.0, 0.0, 0.0, 0.0, 0.0]}, "of the picture can be used"),
         ({"calibration": {"sigmas": {}}}, "unknown key 'sigmas'; did you mean 'sigma'"),

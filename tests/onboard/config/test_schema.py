@@ -59,6 +59,9 @@ def test_an_empty_file_is_the_default() -> None:
         ("[camera]\nthermal = 3", "'camera.thermal' is a section"),
         ("[camera.termal]\nscale = 0.01", "did you mean 'camera.thermal'?"),
         ("yaw_deg = 90", "did you mean 'mount.yaw_deg'?"),
+        ("[camera]\nurl = 'x'", "unknown key 'camera.url'; did you mean 'telemetry.url'?"),
+        ("[mount]\nYaw_Deg = 3", "did you mean 'mount.yaw_deg'?"),
+        ("[mount]\nzoom = 3", "unknown key 'mount.zoom'; known sections: "),  # no other word is near
         ("[muont]\nyaw_deg = 90", "unknown section 'muont'; did you mean 'mount'?"),
         ("[mount]\nyaw_deg = 400", "mount.yaw_deg = 400 is not usable: -360 to 360 deg"),
         ("[tracking]\nfeatures = 500", "tracking.features = 500 is not usable: a whole number from 20 to 200"),
