@@ -116,10 +116,10 @@ class MavlinkSets:
             self._on_packet()
             self._take_packet(vehicle, payload)
         if link.vehicles and time.monotonic() - self._report_s >= REPORT_S:
-            self._report_s = time.monotonic()
+            now_s = self._report_s = time.monotonic()
             link.beat()
             for vehicle in link.vehicles:
-                link.send(vehicle, encode_report(self._assemblies.setdefault(vehicle, SetAssembly()).report))
+                link.send(vehicle, encode_report(self._assemblies.setdefault(vehicle, SetAssembly()).report(now_s)))
         while self._to_ask:
             system, answered = self._to_ask.popleft()
             asking = Asking(ClickQuestion(random.randrange(MAX_NUMBER + 1), 0.0, 0.0), time.monotonic())
@@ -130,7 +130,7 @@ class MavlinkSets:
         try:
             piece = read_piece(payload)
             if piece is not None:
-                whole = self._assemblies.setdefault(vehicle, SetAssembly()).take(piece)
+                whole = self._assemblies.setdefault(vehicle, SetAssembly()).take(piece, time.monotonic())
                 if whole is not None:
                     self._take(vehicle, *whole)
         except WireError:

@@ -6,7 +6,7 @@ A radio with error correction splits what is longer than 118 bytes on the wire, 
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from contract.errors import CorruptPayload, TruncatedPayload
 from contract.wire.click_code import MAJOR
@@ -16,6 +16,8 @@ MAX_WIRE_BYTES = 118
 PIECE, REPORT = 5, 6
 MAX_BYTES = 2000  # of a set and its age
 AGE_STEP_S, NO_AGE = 0.01, 0xFFFF
+LATEST = 8  # packets, of which a report states when they came
+CAME_STEP_S, NOT_CAME = 0.02, 0xFF
 _AGE = struct.Struct("<H")
 _PIECE = struct.Struct("<BHBBBH")  # kind, packet, set, piece, pieces, bytes
 _REPORT = struct.Struct("<BHH")
@@ -36,10 +38,14 @@ class SetPiece:
 
 @dataclass(frozen=True)
 class ReceiverReport:
-    """A ground that wants sets: the highest packet it has, and how many it has received, both modulo 65536."""
+    """A ground that wants sets: the highest packet it has, and how many it has received, both modulo 65536.
+
+    `came_s`: how long ago the latest packets came, by number; those of which it is known, and within 5 s.
+    """
 
     highest: int
     received: int
+    came_s: dict[int, float] = field(default_factory=dict)
 
 
 def cut_set(payload: bytes, age_s: float | None, max_bytes: int) -> list[tuple[int, int, int, bytes]]:
@@ -65,8 +71,11 @@ def encode_piece(piece: SetPiece) -> bytes:
 
 
 def encode_report(report: ReceiverReport) -> bytes:
-    """Five bytes."""
-    return _REPORT.pack(MAJOR << 4 | REPORT, report.highest, report.received)
+    """Thirteen bytes."""
+    numbers = ((report.highest - back) % 65536 for back in range(LATEST))
+    steps = (report.came_s.get(number, NOT_CAME * CAME_STEP_S) / CAME_STEP_S for number in numbers)
+    head = _REPORT.pack(MAJOR << 4 | REPORT, report.highest, report.received)
+    return head + bytes(min(round(step), NOT_CAME) for step in steps)
 
 
 def read_piece(payload: bytes) -> SetPiece | None:
@@ -86,10 +95,12 @@ def read_piece(payload: bytes) -> SetPiece | None:
 
 def read_report(payload: bytes) -> ReceiverReport | None:
     """A report; None if it is none."""
-    if len(payload) != _REPORT.size or payload[0] != MAJOR << 4 | REPORT:
+    if len(payload) < _REPORT.size or payload[0] != MAJOR << 4 | REPORT:
         return None
-    _, highest, received = _REPORT.unpack(payload)
-    return ReceiverReport(highest, received)
+    _, highest, received = _REPORT.unpack_from(payload)
+    steps = enumerate(payload[_REPORT.size :][:LATEST])
+    came_s = {(highest - back) % 65536: step * CAME_STEP_S for back, step in steps if step != NOT_CAME}
+    return ReceiverReport(highest, received, came_s)
 
 
 class SetAssembly:
@@ -105,10 +116,14 @@ class SetAssembly:
         self._done: list[tuple[int, int, int]] = []
         self._highest: int | None = None
         self._received = 0
+        self._came_s: dict[int, float] = {}  # of the latest packets
 
-    def take(self, piece: SetPiece) -> tuple[bytes, float | None] | None:
+    def take(self, piece: SetPiece, now_s: float) -> tuple[bytes, float | None] | None:
         """The set that this piece completes and the age its picture had when it was sent, if it does."""
         self._received += 1
+        self._came_s.setdefault(piece.packet, now_s)
+        if len(self._came_s) > 2 * LATEST:  # in the order in which they came, not in that of their numbers
+            del self._came_s[next(iter(self._came_s))]
         if self._highest is None or (piece.packet - self._highest) % 65536 < 32768:
             self._highest = piece.packet
         identity = piece.of, piece.pieces, piece.size
@@ -126,7 +141,7 @@ class SetAssembly:
         (age,) = _AGE.unpack_from(whole)
         return whole[_AGE.size :], None if age == NO_AGE else age * AGE_STEP_S
 
-    @property
-    def report(self) -> ReceiverReport:
+    def report(self, now_s: float) -> ReceiverReport:
         """What has been received so far."""
-        return ReceiverReport(self._highest or 0, self._received % 65536)
+        came_s = {number: now_s - at_s for number, at_s in self._came_s.items()}
+        return ReceiverReport(self._highest or 0, self._received % 65536, came_s)

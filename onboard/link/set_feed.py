@@ -14,6 +14,7 @@ from onboard.link.rate_follower import RateFollower
 from onboard.link.set_selection import Offer, Selection
 
 REPEAT_S = 10.0  # a picture that is still the newest
+REMEMBERED = 1000  # packets: when each was sent
 
 
 class SetFeed:
@@ -38,6 +39,7 @@ class SetFeed:
         self._ground: Peer | None = None
         self._pieces: deque[tuple[int, int, int, bytes]] = deque()
         self._packet = self._of = 0
+        self._sent_s: dict[int, float] = {}  # of the last packets
         self._lock = threading.Lock()
         self.sent = 0  # sets, to their last piece
 
@@ -57,7 +59,12 @@ class SetFeed:
                 self._ground = ground
                 self._pieces.clear()
             if ground == self._ground:
-                self._follower.received(report, now_s)
+                under_way_s = [
+                    now_s - came_s - self._sent_s.pop(number)  # each once
+                    for number, came_s in report.came_s.items()
+                    if number in self._sent_s
+                ]
+                self._follower.received(report, now_s, under_way_s)
 
     def due(self) -> list[tuple[Peer, bytes]]:
         """Packets that may go now."""
@@ -76,6 +83,9 @@ class SetFeed:
                 number, pieces, size, content = self._pieces.popleft()
                 self._packet = (self._packet + 1) % 65536
                 piece = SetPiece(self._packet, self._of, number, pieces, size, content)
+                self._sent_s[self._packet] = now_s
+                if len(self._sent_s) > REMEMBERED:
+                    del self._sent_s[next(iter(self._sent_s))]
                 out.append((self._ground, encode_piece(piece)))
                 self.sent += not self._pieces
         return out

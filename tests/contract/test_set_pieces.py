@@ -32,10 +32,10 @@ def packets(payload: bytes, age_s: float | None, room: int, of: int = 3, first: 
     return [encode_piece(SetPiece((first + i) % 65536, of, *piece)) for i, piece in enumerate(cut)]
 
 
-def taken(assembly: SetAssembly, packet: bytes) -> tuple[bytes, float | None] | None:
+def taken(assembly: SetAssembly, packet: bytes, now_s: float = 0.0) -> tuple[bytes, float | None] | None:
     piece = read_piece(packet)
     assert piece is not None
-    return assembly.take(piece)
+    return assembly.take(piece, now_s)
 
 
 @given(SETS, st.none() | st.floats(0.0, 600.0), ROOMS, st.randoms())
@@ -59,7 +59,7 @@ def test_a_set_is_whole_from_all_pieces_but_one_of_each_group_in_any_order(
     assert (found[0][1] is None) == (age_s is None)
     if age_s is not None:
         assert found[0][1] == pytest.approx(age_s, abs=0.006)
-    assert assembly.report.received == len(kept)
+    assert assembly.report(0.0).received == len(kept)
 
 
 @given(SETS.filter(lambda payload: len(payload) > 200))
@@ -84,12 +84,27 @@ def test_a_set_that_comes_twice_counts_once_and_sets_that_stay_incomplete_are_gi
 
 def test_a_report_states_the_highest_packet_also_past_65535_and_out_of_order() -> None:
     assembly = SetAssembly()
-    assert assembly.report == ReceiverReport(0, 0)
+    assert assembly.report(0.0) == ReceiverReport(0, 0)
     for number in (65534, 1, 65535, 0):
         taken(assembly, encode_piece(SetPiece(number, number % 256, 0, 1, 5, b"12345")))
-    assert assembly.report == ReceiverReport(1, 4)
-    assert read_report(encode_report(assembly.report)) == assembly.report
-    assert len(encode_report(assembly.report)) == 5
+    report = assembly.report(0.0)
+    assert (report.highest, report.received) == (1, 4)
+    assert read_report(encode_report(report)) == report
+
+
+def test_a_report_states_how_long_ago_each_of_the_latest_packets_came() -> None:
+    assembly = SetAssembly()
+    for number, at_s in enumerate((0.0, 1.0, 5.5, 6.0, 6.02, 6.5, 7.0, 7.0, 7.5, 8.0)):
+        if number != 5:  # it was lost
+            taken(assembly, encode_piece(SetPiece(number, number % 256, 0, 1, 5, b"12345")), at_s)
+    packet = encode_report(assembly.report(8.1))
+    read = read_report(packet)
+    assert len(packet) == 13 and read is not None
+    expected = {2: 2.6, 3: 2.1, 4: 2.08, 6: 1.1, 7: 1.1, 8: 0.6, 9: 0.1}  # of the last eight
+    assert read.came_s == pytest.approx(expected, abs=0.011)
+    later = read_report(encode_report(assembly.report(12.55)))
+    assert later is not None and sorted(later.came_s) == [8, 9]  # the others came more than 5 s ago
+    assert read_report(packet[:5]) == ReceiverReport(9, 9)  # as grounds of before report
 
 
 @given(st.binary(max_size=128))
@@ -100,7 +115,7 @@ def test_any_bytes_are_a_piece_a_report_another_kind_or_a_wire_error(payload: by
     except WireError:
         return
     if piece is not None:
-        SetAssembly().take(piece)
+        SetAssembly().take(piece, 0.0)
 
 
 def test_pieces_that_cannot_be_are_refused() -> None:

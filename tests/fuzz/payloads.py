@@ -118,7 +118,10 @@ class Fuzz:
         self._pieces = cut(small_picture(size=3000), with_parity=True)
         self._pictures = PictureCache()
         answer = Locator(plain_set(100)).locate((320.0, 240.0))
-        self._packets = [encode_question(ClickQuestion(7, 320.0, 240.0, frame=3)), encode_report(ReceiverReport(9, 8))]
+        self._packets = [
+            encode_question(ClickQuestion(7, 320.0, 240.0, frame=3)),
+            encode_report(ReceiverReport(9, 8, {9: 0.1})),
+        ]
         self._packets += [encode_answer(a) for a in (ClickAnswer(7, answer), TurnedAway(7, 250, 255))]
         self._packets += [encode_piece(SetPiece(i, 1, *p)) for i, p in enumerate(cut_set(self._sets[-1], 0.5, 101))]
         self._assembly = SetAssembly()
@@ -185,7 +188,7 @@ class Fuzz:
             if piece is None:
                 read_packet(data)
             else:
-                self._assembly.take(piece)
+                self._assembly.take(piece, 0.0)
         except WireError as error:
             return type(error).__name__
         return "read"

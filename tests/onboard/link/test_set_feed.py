@@ -11,7 +11,7 @@ from contract.wire.click_code import ClickQuestion, TurnedAway, decode, encode_q
 from contract.wire.set_pieces import MAX_WIRE_BYTES, ReceiverReport, SetAssembly, encode_report, read_piece
 from onboard.events.tunnel import Peer
 from onboard.link.autopilot_radio import OVERHEAD, AutopilotRadio
-from onboard.link.rate_follower import LEAST_BIT_RATE, SILENT_S, RateFollower
+from onboard.link.rate_follower import BEGIN_BIT_RATE, LEAST_BIT_RATE, SILENT_S, RateFollower
 from onboard.link.set_selection import Offer
 from tests.onboard.link.pipe import HEARTBEAT_BYTES, Way, own_stream
 from tests.onboard.link.test_click_service import Clock, look_up
@@ -71,7 +71,8 @@ def simulated(
             radio.feed.offer(an_offer(frame, frame / camera_hz))
             frame += 1
         if report_s <= now_s < stops_s:
-            up.put(now_s, 5 + OVERHEAD, encode_report(assembly.report))
+            report = encode_report(assembly.report(now_s))
+            up.put(now_s, len(report) + OVERHEAD, report)
             up.put(now_s, HEARTBEAT_BYTES, b"")
             report_s = now_s + REPORT_S
         for payload in up.arrived(now_s):
@@ -81,7 +82,7 @@ def simulated(
             down.put(now_s, len(payload) + OVERHEAD, payload)
         for payload in down.arrived(now_s):
             piece = read_piece(payload)
-            done = None if piece is None else assembly.take(piece)
+            done = None if piece is None else assembly.take(piece, now_s)
             if done is not None:
                 number = int.from_bytes(done[0][:4], "little")
                 assert done[0] == an_offer(number, 0.0).item
@@ -135,6 +136,34 @@ def test_the_autopilots_own_messages_are_hardly_later_for_the_sets_between_them(
     assert 0.005 < max(later) <= 0.05
 
 
+def lateness_s(share: float, busy: Way[bytes], radio_bit_rate: float, seconds: float) -> float:
+    """By how much later 99 % of the autopilot's messages come than without ours, after the first tenth."""
+    alone: Way[bytes] = Way(radio_bit_rate)
+    for at_s, size in own_stream(radio_bit_rate, share, seconds):
+        alone.put_own(round(at_s / STEP_S + 0.4999) * STEP_S, size)  # as the loop looks
+    begun = len(alone.own_waits_s) // 10
+    return quantile(busy.own_waits_s[begun:], 0.99) - quantile(alone.own_waits_s[begun:], 0.99)
+
+
+def test_on_a_radio_that_is_nearly_full_the_autopilots_messages_are_little_later_and_sets_come() -> None:
+    ground, busy = simulated(4_800.0, 4_800.0, 0.0, 0.79, 300.0)
+    assert 0.02 <= lateness_s(0.79, busy, 4_800.0, 300.0) <= 0.2
+    assert busy.dropped <= 0.05 * (len(busy.carried) + busy.dropped)
+    assert len([came_s for came_s, _ in ground.came if came_s >= 30.0]) >= 270.0 / 25.0
+
+
+def test_where_the_radio_is_idle_sets_soon_come_at_the_rate_that_is_allowed() -> None:
+    ground, _ = simulated(19_200.0, 4_800.0, 0.0, 0.05, 60.0)
+    assert len([came_s for came_s, _ in ground.came if came_s < 12.0]) >= 3
+    assert len([came_s for came_s, _ in ground.came if came_s >= 30.0]) >= 30.0 / 1.6
+
+
+def test_as_fast_a_rate_as_the_radio_itself_loses_little_to_the_autopilots_full_buffer() -> None:
+    ground, down = simulated(57_600.0, 57_600.0, 0.0, 0.65, 120.0)
+    assert 0.01 <= down.dropped / (len(down.carried) + down.dropped) <= 0.12
+    assert len([came_s for came_s, _ in ground.came if came_s >= 30.0]) >= 90.0 / 0.5
+
+
 def test_no_sets_flow_before_a_ground_asks_nor_long_after_it_is_gone() -> None:
     ground, down = simulated(9_600.0, 4_800.0, 0.0, 0.2, 60.0, stops_s=20.0)
     times = [at_s for at_s, _ in down.carried]
@@ -168,6 +197,7 @@ def test_signed_packets_are_as_long_on_the_wire_as_unsigned_ones() -> None:
     sizes = []
     for _ in range(100):
         clock.now_s += 0.1
+        radio.receive(GROUND, encode_report(ReceiverReport(0, 0)))
         sizes += [len(payload) for _, payload in radio.due()]
     assert 70 <= max(sizes) <= 88 and len(sizes) == 9  # 553 bytes in 7 pieces and 2 parities
 
@@ -184,40 +214,58 @@ def test_a_ground_stations_system_number_is_turned_away(system: int, is_turned_a
     assert [isinstance(s, TurnedAway) and (s.low, s.high) == (250, 255) for s in messages] == [True] * is_turned_away
 
 
-def reported(follower: RateFollower, share: float, reports: int, begin_s: float = 0.0) -> float:
+def reported(
+    follower: RateFollower, share: float, reports: int, way_s: float = 0.3, begin_s: float = 0.0, first: int = 0
+) -> float:
     """The bit rate after so many reports, 20 packets apart, of which a share has come."""
-    follower.received(ReceiverReport(0, 0), begin_s)
-    for number in range(1, reports + 1):
-        follower.received(
-            ReceiverReport(20 * number % 65536, round(20 * number * share) % 65536), begin_s + 2.0 * number
-        )
+    follower.received(ReceiverReport(20 * first % 65536, round(20 * first * share) % 65536), begin_s, [])
+    for number in range(first + 1, first + reports + 1):
+        report = ReceiverReport(20 * number % 65536, round(20 * number * share) % 65536)
+        follower.received(report, begin_s + 2.0 * (number - first), [way_s] * 4)
     return follower.bit_rate(begin_s + 2.0 * reports)
 
 
-def test_the_rate_doubles_until_something_is_lost_and_never_passes_the_greatest() -> None:
-    assert reported(RateFollower(9_600.0), 1.0, 1) == 2_400.0
-    assert reported(RateFollower(9_600.0), 1.0, 2) == 4_800.0
-    assert reported(RateFollower(9_600.0), 1.0, 3) == 9_600.0
+def test_the_rate_doubles_until_packets_queue_and_never_passes_the_greatest() -> None:
+    assert reported(RateFollower(9_600.0), 1.0, 0) == BEGIN_BIT_RATE
+    assert reported(RateFollower(9_600.0), 1.0, 1) == 2.0 * BEGIN_BIT_RATE
+    assert reported(RateFollower(9_600.0), 1.0, 4) == 9_600.0
     assert reported(RateFollower(9_600.0), 1.0, 5000) == 9_600.0
-    assert reported(RateFollower(1_200.0), 1.0, 1) == 1_200.0
+    assert reported(RateFollower(250.0), 1.0, 1) == 250.0
     assert reported(RateFollower(9_600.0), 0.9, 20) == 9_600.0  # a radio's own loss
 
 
-def test_the_rate_halves_at_loss_and_grows_by_steps_afterwards() -> None:
+def test_a_start_that_fills_the_radio_ends_at_once() -> None:
     follower = RateFollower(9_600.0)
-    assert reported(follower, 1.0, 3) == 9_600.0
-    for number, came in enumerate((70, 80, 100, 120)):  # of 20 each: half, half, all, all
-        follower.received(ReceiverReport(80 + 20 * number, came), 8.0 + number)
-    assert follower.bit_rate(12.0) == pytest.approx(2_400.0 + 2 * 960.0)
+    assert reported(follower, 1.0, 2) == 4.0 * BEGIN_BIT_RATE
+    assert reported(follower, 1.0, 1, way_s=0.6, begin_s=6.0, first=2) == BEGIN_BIT_RATE
+
+
+def test_the_rate_falls_while_packets_queue_and_grows_again_afterwards() -> None:
+    follower = RateFollower(9_600.0)
+    assert reported(follower, 1.0, 10) == 9_600.0
+    fallen = reported(follower, 1.0, 5, way_s=0.7, begin_s=22.0, first=10)
+    assert LEAST_BIT_RATE <= fallen <= 0.25 * 9_600.0
+    assert reported(follower, 1.0, 20, way_s=0.3, begin_s=34.0, first=15) > 4.0 * fallen
+
+
+def test_the_rate_halves_at_loss_that_it_causes_and_not_at_the_radios_own() -> None:
+    follower = RateFollower(9_600.0)
+    assert reported(follower, 1.0, 10) == 9_600.0
+    follower.received(ReceiverReport(220, 210), 22.0, [])  # half of 20
+    assert follower.bit_rate(22.0) == 4_800.0
+    follower.received(ReceiverReport(240, 220), 23.0, [])  # sent before
+    assert follower.bit_rate(23.0) == 4_800.0
+    lossy = RateFollower(9_600.0)
+    assert reported(lossy, 0.7, 100) == 9_600.0  # as much at any rate
     assert reported(RateFollower(9_600.0), 0.1, 100) == LEAST_BIT_RATE
 
 
 def test_a_ground_that_begins_again_or_is_silent_is_no_loss() -> None:
     follower = RateFollower(9_600.0)
-    assert reported(follower, 1.0, 5) == 9_600.0
-    follower.received(ReceiverReport(0, 0), 11.0)
-    follower.received(ReceiverReport(50_000, 3), 12.0)
-    assert follower.bit_rate(12.0) == 9_600.0
-    assert follower.bit_rate(12.0 + SILENT_S) == 0.0
-    follower.received(ReceiverReport(50_000, 4), 30.0)
-    assert follower.bit_rate(30.0) == 2_400.0
+    assert reported(follower, 1.0, 10) == 9_600.0
+    follower.received(ReceiverReport(0, 0), 21.0, [])
+    follower.received(ReceiverReport(50_000, 3), 22.0, [])
+    assert follower.bit_rate(22.0) == 9_600.0
+    assert follower.bit_rate(22.0 + SILENT_S) == 0.0
+    follower.received(ReceiverReport(50_000, 4), 40.0, [])
+    assert follower.bit_rate(40.0) == BEGIN_BIT_RATE
