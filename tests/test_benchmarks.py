@@ -453,7 +453,7 @@ def test_sharpness_is_one_for_errors_as_stated_and_half_for_ellipses_twice_too_w
     assert "missed: sharpness 0.50; coverage 100" in wide
 
 
-@pytest.mark.long  # short: tests/scenarios/test_climb.py, and test_rolling_shutter.py in banks
+@pytest.mark.long  # short, a climb and banks: tests/scenarios/test_recorded_autopilots.py
 def test_with_a_recorded_autopilot_the_ellipses_hold_in_every_bank() -> None:
     """Forty seconds of ArduPilot's own telemetry, level and in a turn of 58 degrees of bank, over rendered ground."""
     recording = Path(__file__).parent / "data" / "plane_turn"

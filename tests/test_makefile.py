@@ -175,6 +175,8 @@ def test_without_the_long_tests_a_file_is_one_workers() -> None:
 def test_each_group_that_begins_early_is_there() -> None:
     files = list((ROOT / "tests").rglob("test_*.py"))
     named = {name for file in files for name in re.findall(r'xdist_group\("([^"]+)"\)', file.read_text())}
+    table = (ROOT / "tests" / "scenarios" / "test_scenarios.py").read_text()
+    named |= {f"scenarios: {heading}" for heading in re.findall(r'^    "([\w ]+)": \[$', table, re.MULTILINE)}
     assert len(set(COSTLY_FIRST)) == len(COSTLY_FIRST)
     assert set(COSTLY_FIRST) <= named | {file.stem for file in files}
 

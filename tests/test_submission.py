@@ -123,7 +123,7 @@ def test_three_submissions_in_a_row_run_every_long_test_once() -> None:
         ("onboard/camera/v4l2.py", "tests/scenarios/test_climb.py", False),
         ("tests/scenarios/flights.py", "tests/scenarios/test_climb.py", True),
         ("tests/scenarios/test_climb.py", "tests/scenarios/test_climb.py", True),
-        ("tests/scenarios/test_banks.py", "tests/scenarios/test_climb.py", False),
+        ("tests/scenarios/test_seen.py", "tests/scenarios/test_climb.py", False),
         ("requirements.lock", "tests/test_install.py", True),
         ("frontend/src/page.ts", "tests/web/test_open.py", True),
         ("ground/pins/store.py", "tests/ground/pins/test_fusion.py", True),

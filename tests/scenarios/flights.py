@@ -7,8 +7,6 @@ run.
 from __future__ import annotations
 
 import csv
-import fcntl
-import os
 import shutil
 import tomllib
 from collections import Counter
@@ -35,7 +33,7 @@ from onboard.pipeline.terrain_at_hand import TerrainSource
 from onboard.replay.runner import Flight, replay
 from onboard.vision.contrast_normalisation import Picture
 from simulation.session import SessionSpec, fly
-from tests.flights_folder import FLIGHTS_VARIABLE
+from tests.flights_folder import kept
 from tests.set_sink import SetSink
 
 Array = NDArray[np.float64]
@@ -98,26 +96,23 @@ class _Sets(SetSink):
         self.by_frame[output.frame] = output
 
 
-_FOLDER = TemporaryDirectory(prefix="scenarios-")
-_SHARED = Path(os.environ.get(FLIGHTS_VARIABLE) or _FOLDER.name)  # by all workers of a run
+_COPIES = TemporaryDirectory(prefix="scenarios-")
 
 
 @cache
 def simulated(spec: SessionSpec) -> Path:
     """The session's folder, not to be written to; a spec is simulated once in a run, whichever worker needs it."""
-    folder = _SHARED / sha256(repr(spec).encode()).hexdigest()[:16]
-    with folder.with_suffix(".lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        if not (folder / "world.json").is_file():  # written last
-            shutil.rmtree(folder, ignore_errors=True)  # a worker may have died over it
-            fly(spec, folder)
-    return folder
+    return kept(sha256(repr(spec).encode()).hexdigest()[:16], lambda folder: fly(spec, folder))
+
+
+def copied(folder: Path) -> Path:
+    """A copy of a session, to be changed."""
+    return Path(shutil.copytree(folder, mkdtemp(dir=_COPIES.name), dirs_exist_ok=True))
 
 
 def retouched(folder: Path, change: Callable[[Picture], Picture], frames: range | None = None) -> Path:
     """A copy of a session with some pictures changed, all if `frames` is None."""
-    copy = Path(mkdtemp(dir=_FOLDER.name))
-    shutil.copytree(folder, copy, dirs_exist_ok=True)
+    copy = copied(folder)
     files = sorted((copy / "frames").iterdir())
     for index in range(len(files)) if frames is None else frames:
         image = np.asarray(cv2.imread(str(files[index]), cv2.IMREAD_GRAYSCALE), np.uint8)

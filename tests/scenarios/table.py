@@ -13,8 +13,8 @@ from simulation.session import SessionSpec
 from simulation.terrain import TerrainSpec
 from simulation.texture import TextureSpec
 from tests.scenarios.flights import CHI2_90, CHI2_99, play, simulated
-from tests.scenarios.test_degenerate_ground import FAST, LARGE, LOW
-from tests.scenarios.test_degenerate_motion import HOVER, ROTATION, LevelTerrain
+from tests.scenarios.sessions import FAST, HOVER, LARGE, LOW, ROTATION
+from tests.scenarios.spoiling import LevelTerrain
 
 SEEDS = (0, 3, 7)
 HOVER_PATH = DescribedSpec(PathSpec("hover", height_m=100.0))

@@ -1,11 +1,9 @@
-"""Stamps cut to the second, and positions seconds behind: declared, they give honest, wide answers."""
+"""Poses by sensors whose stamps are off, and positions seconds behind. Stamps cut to the second: test_scenarios.py."""
 
 from __future__ import annotations
 
-import shutil
 from dataclasses import replace
 from pathlib import Path
-from tempfile import mkdtemp
 
 import numpy as np
 import pytest
@@ -19,51 +17,8 @@ from onboard.navigation.navigator import NavState
 from onboard.pipeline.pipeline import Pipeline
 from onboard.replay.runner import Flight, replay
 from onboard.telemetry.telemetry_log import TelemetryLog
-from simulation.flight import DescribedSpec
-from simulation.paths import PathSpec
-from simulation.session import SessionSpec
-from tests.rest_long import rest_long
-from tests.scenarios.flights import Outcome, _Sets, click, play, simulated
-
-WIDE = Camera.from_field_of_view(320, 240, 70.0)
-WHOLE_SECONDS = (("camera.latency_s", -0.5), ("camera.sigma_jitter_s", 0.3))
-
-
-def survey(seed: int, kind: str = "survey") -> Path:
-    path = PathSpec(kind, speed_m_s=14.0, height_m=150.0, wobble_deg=1.0, leg_m=150.0, spacing_m=60.0)
-    return simulated(
-        SessionSpec(
-            DescribedSpec(path, seed=seed), seconds=28.0, rate_hz=1 / 1.4, camera=WIDE, clicks_per_frame=8, seed=seed
-        )
-    )
-
-
-def cut_to_the_second(folder: Path) -> Path:
-    copy = Path(mkdtemp())
-    shutil.copytree(folder, copy, dirs_exist_ok=True)
-    header, *rows = (copy / "stamps.csv").read_text().splitlines()
-    cut = [f"{name},{int(float(stamp))}" for name, stamp in (row.split(",") for row in rows)]
-    (copy / "stamps.csv").write_text("\n".join([header, *cut]) + "\n")
-    return copy
-
-
-@pytest.mark.parametrize("seed", rest_long([0, 1]))
-def test_declared_stamps_of_a_second_are_answered_with_a_radius_that_holds(seed: int) -> None:
-    folder = cut_to_the_second(survey(seed))
-    declared = play(folder, *WHOLE_SECONDS)
-    shutil.rmtree(folder)
-    assert declared.solved >= 0.85, declared.reported
-    assert declared.inside_99 >= 0.97, declared.reported
-    assert np.median(declared.errors_m) < 5.0 and np.median(declared.semi_m) < 15.0, declared.reported
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("seed", [0, 1])
-def test_not_declared_the_same_stamps_are_refused_or_wrong(seed: int) -> None:
-    folder = cut_to_the_second(survey(seed))
-    silent = play(folder)
-    shutil.rmtree(folder)
-    assert silent.solved < 0.8, silent.reported
+from tests.scenarios.flights import Outcome, _Sets, click, simulated
+from tests.scenarios.sessions import WIDE, photographs
 
 
 @pytest.mark.parametrize("jitter_s", [0.003, 0.3])
@@ -97,7 +52,7 @@ def late(folder: Path, behind_s: float, declared_s: float) -> Outcome:
 
 
 def test_positions_seconds_behind_their_stamps_are_waited_for() -> None:
-    folder = survey(0)
+    folder = simulated(photographs(0))
     prompt, behind = late(folder, 0.0, 0.0), late(folder, 4.0, 4.0)
     assert prompt.solved == 1.0, prompt.reported
     assert behind.solved == 1.0, behind.reported

@@ -2,59 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import cv2
-import numpy as np
 import pytest
 
 from contract.feature_set import Status
 from onboard.vision.contrast_normalisation import Picture
 from simulation.session import SessionSpec
-from tests.scenarios import test_degenerate_ground as ground
+from tests.scenarios import sessions
 from tests.scenarios.flights import Outcome, click, play, retouched, simulated
-
-Change = Callable[[Picture], Picture]
+from tests.scenarios.spoiling import Change, blur, dirt, fog, jpeg, picture, smeared_along
 
 # Long enough to begin again after the spoilt third and be answered again.
-LEG, LARGE = replace(ground.LEG, seconds=10.0), replace(ground.LARGE, seconds=8.0)
-
-
-def picture(image: object) -> Picture:
-    return np.clip(np.asarray(image), 0, 255).astype(np.uint8)
-
-
-def blur(sigma_px: float) -> Change:
-    return lambda image: picture(cv2.GaussianBlur(image, (0, 0), sigma_px))
-
-
-def smeared_along(length_px: int, is_upright: bool) -> Change:
-    kernel = np.full((length_px, 1) if is_upright else (1, length_px), 1.0 / length_px)
-    return lambda image: picture(cv2.filter2D(image, -1, kernel))
-
-
-def jpeg(quality: int) -> Change:
-    def encoded(image: Picture) -> Picture:
-        done, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])
-        assert done
-        return picture(cv2.imdecode(data, cv2.IMREAD_GRAYSCALE))
-
-    return encoded
-
-
-def fog(image: Picture) -> Picture:
-    return picture(np.rint(0.05 * image + 142.0))
-
-
-def dirt(image: Picture) -> Picture:
-    """A smear on the lens: a third of the picture blurred and brightened, always the same third."""
-    height, width = image.shape
-    rows, columns = np.mgrid[:height, :width]
-    spot = np.exp(-((columns - 0.3 * width) ** 2 + (rows - 0.4 * height) ** 2) / (0.2 * width) ** 2)
-    return picture((1.0 - spot) * image + spot * (20.0 + 0.8 * cv2.GaussianBlur(image, (0, 0), 10.0)))
-
-
+LEG, LARGE = replace(sessions.LEG, seconds=10.0), replace(sessions.LARGE, seconds=8.0)
 ANSWERED, EITHER, REFUSED = "answered", "either", "refused"
 
 

@@ -5,19 +5,13 @@ from __future__ import annotations
 import pytest
 
 from benchmarks.seen import Judged, judge, rows, seeded
-from simulation.flight import DescribedSpec
-from simulation.ordinary import ordinary
-from simulation.paths import PathSpec
-from simulation.session import SessionSpec
-from tests.scenarios.flights import CAMERA, play, simulated
+from tests.scenarios.flights import play, simulated
+from tests.scenarios.sessions import ordinary_turns
 
 
 @pytest.mark.long  # short: tests/ground/seen
 def test_of_an_ordinary_flight_with_turns_next_to_nothing_is_overstated_and_a_tenth_understated() -> None:
-    """The flight that test_ordinary_autopilot flies."""
-    flight = DescribedSpec(PathSpec("turns", leg_m=250.0), ordinary(1), seed=1)
-    spec = SessionSpec(flight, seconds=45.0, rate_hz=2.0, camera=CAMERA, clicks_per_frame=6, seed=1)
-    folder = simulated(spec)
+    folder = simulated(ordinary_turns(1, 45.0))
     found = judge(folder, play(folder).sets.values(), per_cell=1)
     assert found.answered > 0.8 * found.pictures
     assert found.over <= 0.01, found

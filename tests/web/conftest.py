@@ -12,13 +12,13 @@ from ground.web.command import STATIC
 from tests.left_out import NO_PROGRAM
 from tests.onboard.link.ports import free_port
 from tests.web.browsing import Operator
-from tests.web.served import ARGUMENTS, CHROMIUM, Server, Simulated, record
+from tests.web.served import ARGUMENTS, CHROMIUM, Server, Simulated, recorded
 
 
 @pytest.fixture(scope="session")
-def simulated(tmp_path_factory: pytest.TempPathFactory) -> Simulated:
+def simulated() -> Simulated:
     """A recorded session with pictures."""
-    return record(tmp_path_factory.mktemp("flown"))
+    return recorded()
 
 
 @pytest.fixture

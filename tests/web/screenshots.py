@@ -13,7 +13,7 @@ from PIL import Image
 from playwright.sync_api import sync_playwright
 
 from tests.web.browsing import Operator
-from tests.web.served import ARGUMENTS, CHROMIUM, ROOT, Server, Simulated, record
+from tests.web.served import ARGUMENTS, CHROMIUM, ROOT, Server, Simulated, recorded
 
 IMAGES = ROOT / "docs" / "images"
 QUALITY = 82
@@ -34,7 +34,7 @@ def main() -> int:
         return 2
     with TemporaryDirectory() as name, sync_playwright() as playwright:
         folder = Path(name)
-        simulated = record(folder)
+        simulated = recorded()
         alone = shutil.copy(simulated.path, folder / "flight.mcap")  # without the picture that refuses
         server = Server("--from", alone, "--pins", folder / "pins.sqlite")
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)

@@ -20,6 +20,7 @@ from simulation.ordinary import ordinary
 from simulation.paths import PathSpec
 from simulation.session import SessionSpec
 from simulation.terrain import TerrainSpec
+from tests.flights_folder import kept
 from tests.scenarios.flights import simulated
 from tests.waiting import PATIENCE_S
 
@@ -45,12 +46,12 @@ TURNS = SessionSpec(
 class Simulated:
     """A recorded session with pictures, and what a test needs to know of it."""
 
-    def __init__(self, path: Path, refused: int) -> None:
+    def __init__(self, path: Path) -> None:
         self.path = path
-        self.refused = refused  # the frame that answers nothing
         self.recording = Recording(path)
         (self.vehicle,) = self.recording.vehicles
         self.frames = self.recording.frames(self.vehicle)
+        self.refused = self.frames[-1]  # answers nothing
 
     @property
     def newest(self) -> int:
@@ -60,7 +61,12 @@ class Simulated:
         return found.frame
 
 
-def record(folder: Path) -> Simulated:
+def recorded() -> Simulated:
+    """The session that all tests of the page share, whichever worker needs it first."""
+    return Simulated(kept("recorded for the page", record) / "parts" / "flight.001.mcap")
+
+
+def record(folder: Path) -> None:
     """Some seconds over simulated ground, four pictures a second, into a folder; and one more picture that refuses."""
     spec = SessionSpec(
         DescribedSpec(PathSpec("turns", leg_m=150.0), ordinary(3), seed=3),
@@ -71,6 +77,7 @@ def record(folder: Path) -> Simulated:
         level_ground=True,
     )
     flight = simulated(spec)
+    folder.mkdir(parents=True, exist_ok=True)
     config = folder / "config.toml"
     config.write_text((flight / "config.toml").read_text() + '\n[recording]\npictures = "jpeg"\n')
     first = folder / "parts" / "flight.001.mcap"
@@ -91,7 +98,6 @@ def record(folder: Path) -> Simulated:
     )
     with SessionRecorder(folder / "parts" / "flight.002.mcap", vehicle, part=2) as out:
         out.write_set(refused)
-    return Simulated(first, refused.frame)
 
 
 class PageProgram:

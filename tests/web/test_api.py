@@ -24,7 +24,7 @@ from ground.web.recorded import RecordedSource
 from ground.web.tiles import Tiles
 from tests.web.served import ROOT, Simulated
 
-pytestmark = pytest.mark.xdist_group("web")
+pytestmark = pytest.mark.xdist_group("web: served alone")
 
 
 class Api:

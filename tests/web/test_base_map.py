@@ -19,7 +19,7 @@ from tests.web.flying import Flight
 from tests.web.measured import SMALL, opened, share_of
 from tests.web.tile_files import COLOUR, REGION, rendered_tile, write_mbtiles, write_pmtiles, write_region
 
-pytestmark = pytest.mark.xdist_group("web")
+pytestmark = pytest.mark.xdist_group("web: a flight in motion")
 
 
 def share_drawn(page: Any) -> float:

@@ -20,7 +20,7 @@ from tests.waiting import PATIENCE_S
 from tests.web.conftest import page_is_built
 from tests.web.served import ROOT, Simulated
 
-pytestmark = pytest.mark.xdist_group("web")
+pytestmark = pytest.mark.xdist_group("web: served alone")
 
 TOKEN = "a-token-of-some-length"
 HALF_OPEN = 1000

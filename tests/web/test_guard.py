@@ -16,7 +16,7 @@ from ground.web.tiles import open_tiles
 from tests.web.served import Simulated
 from tests.web.test_api import Api
 
-pytestmark = pytest.mark.xdist_group("web")
+pytestmark = pytest.mark.xdist_group("web: served alone")
 TOKEN = "a-token-of-some-length"
 
 

@@ -26,7 +26,7 @@ from tests.web.browsing import Operator
 from tests.web.served import Server, Simulated
 from tests.web.test_live import wait_for
 
-pytestmark = pytest.mark.xdist_group("web")
+pytestmark = pytest.mark.xdist_group("web: a flight in motion")
 
 
 def sets_and_picture(simulated: Simulated) -> tuple[list[FeatureSet], LinkPicture]:

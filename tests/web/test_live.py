@@ -20,7 +20,7 @@ from tests.onboard.link.ports import free_endpoint
 from tests.waiting import PATIENCE_S, eventually
 from tests.web.served import Simulated
 
-pytestmark = pytest.mark.xdist_group("web")
+pytestmark = pytest.mark.xdist_group("web: served alone")
 
 
 def wait_for(there: Callable[[], object], what: str) -> None:

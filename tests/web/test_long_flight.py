@@ -19,7 +19,7 @@ from tests.web.flying import Flight
 from tests.web.measured import SMALL, grown, opened
 from tests.web.rendered import VEHICLE
 
-pytestmark = pytest.mark.xdist_group("web")
+pytestmark = pytest.mark.xdist_group("web: a flight in motion")
 
 HOUR = 3600  # pictures, one a second
 SEEN_EVERY = 120  # the page shows one in so many

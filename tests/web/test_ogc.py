@@ -30,7 +30,7 @@ from tests.ground.pins.test_store import clicked
 from tests.web.rendered import record_rendered
 from tests.web.served import Server, Simulated
 
-pytestmark = pytest.mark.xdist_group("web")
+pytestmark = pytest.mark.xdist_group("web: served alone")
 ITEMS = "/ogc/collections/pins/items"
 NOON_NS = 1_767_268_800_000_000_000  # 2026-01-01T12:00:00Z
 HOUR_NS = 3600 * 10**9

@@ -21,7 +21,7 @@ from tests.web.served import Simulated
 from tests.web.test_link_pictures import Aircraft
 from tests.web.test_live import wait_for
 
-pytestmark = pytest.mark.xdist_group("web")
+pytestmark = pytest.mark.xdist_group("web: a flight in motion")
 
 
 def test_a_server_started_again_has_the_sets_and_pictures_of_before(simulated: Simulated, tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from tests.web.flying import Flight
 from tests.web.measured import SMALL
 from tests.web.served import PATIENCE_S
 
-pytestmark = pytest.mark.xdist_group("web")
+pytestmark = pytest.mark.xdist_group("web: a flight in motion")
 
 PICTURES, EVERY_MS, DRAWING_MS = 60, 200, 700
 LONGEST_REST_S = 4.0

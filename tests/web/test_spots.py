@@ -25,7 +25,7 @@ from tests.web.conftest import page_is_built
 from tests.web.flying import Flight
 from tests.web.rendered import VEHICLE, FlyingSource, rendered_set
 
-pytestmark = pytest.mark.xdist_group("web")
+pytestmark = pytest.mark.xdist_group("web: a flight in motion")
 
 PLACES = ((400.0, 300.0, 36.5), (200.0, 200.0, 52.0), (300.0, 120.0, 20.0))  # pixel of picture 0, temperature
 

@@ -36,7 +36,7 @@ from tests.web.flying import Flight
 from tests.web.rendered import VEHICLE, FlyingSource, record_rendered, rendered_set
 from tests.web.served import Server
 
-pytestmark = pytest.mark.xdist_group("web")
+pytestmark = pytest.mark.xdist_group("web: a flight in motion")
 
 WALK = Course(1.4, 0.1, 92.0, 4.0)
 REST = Course(0.03, 0.05)

@@ -28,7 +28,7 @@ from tests.web.served import Simulated
 from tests.web.test_live import wait_for
 from tests.web.video_flight import SPEED_PX_S, VIDEO_HZ, SampledFlight, shift_px, time_of, write_video
 
-pytestmark = pytest.mark.xdist_group("web")
+pytestmark = pytest.mark.xdist_group("web: served alone")
 
 SETS = 32
 SESSION = rendered_set(0).session

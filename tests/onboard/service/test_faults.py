@@ -95,7 +95,7 @@ def test_a_frozen_camera_that_no_one_calls_frozen(tmp_path: Path) -> None:
     assert after.inside_99 > 0.97, after.reported
 
 
-@pytest.mark.long  # short, without a daemon: "blind" of tests/scenarios/test_degenerate_ground.py
+@pytest.mark.long  # short, without a daemon: "black pictures" of tests/scenarios/test_scenarios.py
 @pytest.mark.parametrize("level", [0, 255])
 def test_black_and_white_pictures(tmp_path: Path, level: int) -> None:
     air = take_off(tmp_path, seconds=SECONDS, camera=on_pictures(lambda image: np.full_like(image, level)))
@@ -108,7 +108,7 @@ def test_black_and_white_pictures(tmp_path: Path, level: int) -> None:
 def test_defocused_pictures_are_refused_or_held(tmp_path: Path, noise: float) -> None:
     """Optics blur the ground and not the sensor's noise, but an image processor may smooth that too.
 
-    Short, without a daemon: "defocused" of tests/scenarios/test_degenerate_ground.py.
+    Short, without a daemon: "out of focus" of tests/scenarios/test_scenarios.py.
     """
     rng = np.random.default_rng(6)
 
@@ -158,7 +158,7 @@ def test_telemetry_gone_for_a_minute(tmp_path: Path) -> None:
     assert Status.OK not in {s.status for s in air.sets(11.0, 69.5).values()}
 
 
-@pytest.mark.long  # short, without a daemon: an outage of GPS of tests/scenarios/test_degenerate_motion.py
+@pytest.mark.long  # short, without a daemon: "without a fix" of tests/scenarios/test_scenarios.py
 def test_gps_off(tmp_path: Path) -> None:
     """As ArduPilot tells of it: only fix type and satellites change, the filter goes on."""
 
