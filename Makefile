@@ -22,6 +22,7 @@ help:
 	@echo "make test-all  every test there is"
 	@echo "make test-bench  the tests with a real V4L2 camera and a real systemd (docs/test-bench.md; root; 14 minutes to build once)"
 	@echo "make test-arm64  both Debian packages built and run, arm64 under emulation (qemu-user-static; 3 minutes)"
+	@echo "make transcripts  plays tests/transcripts again: what the commands print now, for the difference to be read"
 	@echo "make lint    ruff: rules and format"
 	@echo "make types   mypy --strict"
 	@echo "make pytest  the tests alone (PYTEST_ARGS='-k click' to choose)"
@@ -146,6 +147,11 @@ test-bench: $(INSTALLED)
 test-arm64: $(INSTALLED)
 	@$(BIN)/python -m tests.arm64
 	@POINTCLICK_ARM64=1 $(BIN)/python -m pytest tests/arm64 -n 2 --dist load --durations=0 --durations-min=5 $(ARM64_ARGS)
+
+.PHONY: transcripts
+transcripts: $(INSTALLED)
+	@$(BIN)/python -m tests.play_transcripts
+	@git diff --stat -- tests/transcripts
 
 lint: $(INSTALLED)
 	@$(BIN)/ruff check .

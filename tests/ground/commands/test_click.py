@@ -1,6 +1,5 @@
 """`pc-ground click` as its user sees it: arguments in; text, JSON and exit status out."""
 
-import dataclasses
 import json
 import re
 import subprocess
@@ -94,86 +93,6 @@ def test_a_click_answers_in_one_line_of_text(session: str, capsys: pytest.Captur
     assert np.linalg.norm(LocalFrame(s.camera_lat_deg, s.camera_lon_deg, 0.0).to_enu(lat, lon, 0.0)) < 600.0
 
 
-@pytest.mark.parametrize(
-    ("arguments", "status"),
-    [
-        (["-3.5", "10"], "outside"),
-        (["-3.", "-1e3"], "outside"),
-        (["300", "240", "--frame", "3"], "turning"),
-        (["300", "240", "--frame", "77"], "unknown_frame"),
-        (["300", "240", "--time", "12.5"], "unknown_frame"),
-        (["300", "240", "--file", "other.png"], "unknown_frame"),
-    ],
-)
-def test_a_refusal_exits_with_three_and_its_reason(
-    session: str, capsys: pytest.CaptureFixture[str], arguments: list[str], status: str
-) -> None:
-    assert main(["click", *arguments, "--from", session, "--format", "json"]) == 3
-    out, err = capsys.readouterr()
-    assert json.loads(out)["status"] == status and err == ""
-    assert main(["click", *arguments, "--from", session]) == 3
-    out, err = capsys.readouterr()
-    assert out == "" and err.startswith(f"{status}: ") and err.count("\n") == 1
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["click", "1"], "U and V"),
-        (["click", "1", "x"], "not a finite number"),
-        (["click", "nan", "1"], "not a finite number"),
-        (["click", "-inf", "1"], "not a finite number"),
-        (["click", "1", "2", "--frame", "-1"], "not a frame number"),
-        (["click", "1", "2", "--frame", "1", "--time", "3"], "not allowed with"),
-        (["click", "1", "2", "--from", "/nowhere/s.mcap"], "/nowhere/s.mcap: No such file"),
-        (["click", "1", "2", "--file", "x.png"], "needs --from"),
-        (["click", "1", "2", "--connect", "tcp/127.0.0.1:9"], "nothing listens at tcp/127.0.0.1:9"),
-        (["click", "1", "2", "--connect", "carrier pigeon"], "carrier pigeon"),
-        (["click", "1", "2", "--vehicle", "a/b"], "without any of"),
-        (["click", "--batch", "x.csv"], "--from"),
-        (["click", "1", "2", "--max-age", "-1"], "not an age in seconds"),
-        (["click", "1", "2", "--max-age", "nan"], "not a finite number"),
-        (["click", "1", "2", "--max-age", "1", "--frame", "3"], "leave it out with --frame"),
-        (["click", "1", "2", "--max-age", "1", "--time", "3"], "leave it out with --frame"),
-        (["clack"], "clack"),
-        ([], "required"),
-    ],
-)
-def test_wrong_usage_exits_with_two_and_one_line(
-    capsys: pytest.CaptureFixture[str], arguments: list[str], message: str
-) -> None:
-    try:
-        status = main(arguments)
-    except SystemExit as end:
-        status = end.code if isinstance(end.code, int) else -1
-    out, err = capsys.readouterr()
-    assert status == 2 and out == ""
-    assert message in err.splitlines()[-1]
-
-
-def test_the_wrong_vehicle_is_refused_with_the_right_ones(session: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["click", "1", "2", "--from", session, "--vehicle", "uav-9"]) == 2
-    assert "there is uav-1" in capsys.readouterr().err
-
-
-def test_several_vehicles_in_a_recording_must_be_distinguished(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    from mcap.writer import Writer  # noqa: PLC0415
-
-    path = tmp_path / "two.mcap"
-    with path.open("wb") as stream:
-        writer = Writer(stream, use_chunking=False)
-        writer.start()
-        for name in ("b", "a"):
-            channel = writer.register_channel(f"pc/{name}/features", "pointclick", 0)
-            writer.add_message(channel, 1, encode(dataclasses.replace(SETS[0], vehicle=name)), 1)
-        writer.finish()
-    assert main(["click", "300", "240", "--from", str(path)]) == 2
-    assert "several vehicles answer: a, b" in capsys.readouterr().err
-    assert main(["click", "300", "240", "--from", str(path), "--vehicle", "b"]) == 0
-
-
 def test_a_batch_answers_every_click_in_order_refusals_included(
     session: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -199,39 +118,6 @@ def test_a_batch_may_name_pictures_by_their_files(
     assert main(["click", "--batch", str(by_frame), "--from", session]) == 0
     assert named[:2] == capsys.readouterr().out.splitlines()
     assert json.loads(named[2])["status"] == "unknown_frame" and "'other.png'" in named[2]
-
-
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        ("frame,u\n1,2\n", "line 1: no column v"),
-        ("", "line 1: no column frame or file, u, v"),
-        ("file,u,v\n,2,3\n", "line 2: no file name"),
-        ("frame,u,v\n1,2,3\n1,two,3\n", "line 3: 'two' is not a finite number"),
-        ("frame,u,v\n1,2\n", "line 2: '' is not a finite number"),
-        ("frame,u,v\n-1,2,3\n", "line 2: '-1' is not a frame number"),
-        ("frame,u,v\n1,2,inf\n", "line 2: 'inf' is not a finite number"),
-    ],
-)
-def test_a_bad_batch_names_its_line_and_writes_nothing(
-    session: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], content: str, message: str
-) -> None:
-    clicks = tmp_path / "clicks.csv"
-    clicks.write_text(content)
-    assert main(["click", "--batch", str(clicks), "--from", session]) == 2
-    out, err = capsys.readouterr()
-    assert out == "" and message in err and str(clicks) in err
-
-
-def test_a_batch_that_is_no_text_or_is_not_there_is_named(
-    session: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    clicks = tmp_path / "clicks.csv"
-    assert main(["click", "--batch", str(clicks), "--from", session]) == 2
-    assert "No such file" in capsys.readouterr().err
-    clicks.write_bytes(b"\xff\xfe\x00\x01")
-    assert main(["click", "--batch", str(clicks), "--from", session]) == 2
-    assert "not a CSV file" in capsys.readouterr().err
 
 
 def test_the_ground_needs_nothing_but_numpy_and_zenoh(session: str) -> None:

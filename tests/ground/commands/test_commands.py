@@ -115,14 +115,6 @@ def test_lines_become_one_document(
         assert len(ET.fromstring(out).findall(".//{*}Point")) == 2
 
 
-def test_no_click_at_all_is_wrong_usage(
-    session: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("sys.stdin", io.StringIO(""))
-    status, out, err = run(capsys, "click", "--from", session)
-    assert (status, out) == (2, "") and "standard input" in err
-
-
 def test_other_coordinates(session: str, capsys: pytest.CaptureFixture[str]) -> None:
     fix = answer(3, 300.0, 200.0)
     common = ("click", 300, 200, "--frame", 3, "--from", session)
@@ -285,19 +277,6 @@ def test_pins_and_aircraft_go_out_as_events(
     assert contact is not None and contact.get("callsign") == "1 <tent>"
 
 
-@pytest.mark.parametrize(
-    "to", ["http://x:1", "udp://", "tcp://host", "tcp://h:99999", "tcp://h:x", "", "udp://h:1/path", "tcp://[:1"]
-)
-def test_a_wrong_address_is_reported(to: str, pins: str, capsys: pytest.CaptureFixture[str]) -> None:
-    status, _, err = run(capsys, "cot", "--to", to, "--once", "--only-pins", "--pins", pins)
-    assert status == 2 and "udp://239.2.3.1:6969" in err and len(err.splitlines()) == 1
-
-
-def test_no_one_at_the_other_end_is_reported(pins: str, capsys: pytest.CaptureFixture[str]) -> None:
-    status, _, err = run(capsys, "cot", "--to", "tcp://127.0.0.1:9", "--once", "--only-pins", "--pins", pins)
-    assert status == 2 and "does somebody listen there" in err
-
-
 # accuracy
 
 
@@ -355,20 +334,6 @@ def test_the_interval_of_a_coverage_is_clopper_and_pearsons() -> None:
     assert 0.885 < low < 0.888 and 0.912 < high < 0.914
     few = figures(np.zeros((3, 2)), np.zeros(0), [True] * 3, np.zeros(3))
     assert "too few" in few.verdict and few.le90_m is None
-
-
-@pytest.mark.parametrize(
-    "content",
-    ["frame,u,v\n1,2,3\n", "u,v,lat_deg,lon_deg\n", "frame,u,v,lat_deg,lon_deg\n1,2,3,95,0\n",
-     "frame,u,v,lat_deg,lon_deg\n1,2,x,5,0\n", "frame,u,v,lat_deg,lon_deg\n-1,2,3,5,0\n", "\x00", ""],
-)  # fmt: skip
-def test_marks_that_make_no_sense_are_reported(
-    session: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], content: str
-) -> None:
-    path = tmp_path / "marks.csv"
-    path.write_text(content)
-    status, _, err = run(capsys, "accuracy", "--truth", path, "--from", session)
-    assert status == 2 and "marks.csv" in err and len(err.splitlines()) == 1
 
 
 # watch, completion, help

@@ -105,18 +105,6 @@ def test_ended_by_the_time_given_the_track_is_stopped_or_left(aircraft: tuple[st
     assert following.asked[-1].startswith("u=320.0")
 
 
-@pytest.mark.parametrize(
-    "words",
-    [["1"], ["--frame", "3"], ["1", "2", "--list"], ["1", "2", "--save", "x.txt"], ["1", "2", "--seconds", "-1"]],
-)
-def test_wrong_usage_is_one_line(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    try:
-        assert main(["track", *words]) == 2
-    except SystemExit as ended:
-        assert ended.code == 2
-    assert capsys.readouterr().err.count("\n") == 1
-
-
 def path_of(name: str) -> str:
     assert REPORT.place is not None
     reports: list[TrackReport] = []

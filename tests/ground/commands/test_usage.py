@@ -22,38 +22,6 @@ def test_both_programs_say_their_version(program: str) -> None:
     assert done.stdout.startswith(f"pc-{program} ") and done.stdout.count("\n") == 1
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ["pins", "lst"], ["nothing"], ["click", "x", "1"], ["web", "--port", "70000"], ["pins", "delete", "-1"],
-        ["pins", "add", "--at", "-43,38"], ["pins", "list", "--format", "pdf"], ["open"], [],
-        ["pins", "tie", "1", "2", "--place", "-43.38,172.40", "--sigma", "0"],
-    ],
-)  # fmt: skip
-def test_wrong_usage_is_one_line(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main(arguments)
-    complaint = capsys.readouterr().err
-    assert ended.value.code == 2
-    assert complaint.startswith("pc-ground: error: ") and complaint.count("\n") == 1 and "--help" in complaint
-
-
-@pytest.mark.parametrize(
-    ("arguments", "meant"),
-    [
-        (["clik"], "no command 'clik'; did you mean 'click'?"),
-        (["pins", "exprot"], "no command 'exprot'; did you mean 'export'?"),
-        (["measure", "1", "2", "3", "4", "--format", "jsn"], "argument --format: 'jsn'; did you mean 'json'?"),
-        (["vehicles", "--conect", "x"], "did you mean --connect?"),
-        (["zzzzzz"], "invalid choice: 'zzzzzz'"),  # nothing is like it
-    ],
-)
-def test_what_was_probably_meant_is_named(arguments: list[str], meant: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        main(arguments)
-    assert meant in capsys.readouterr().err
-
-
 @pytest.mark.parametrize("command", COMMANDS)
 def test_every_command_has_a_help(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:

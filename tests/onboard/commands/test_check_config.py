@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from PIL import Image
 
 from contract.camera import Camera
 from onboard.__main__ import main
@@ -52,20 +51,6 @@ def checked(file: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, list[s
     return code, capsys.readouterr().out.splitlines()
 
 
-def test_what_is_absent_is_reported_line_by_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """It said `good` with neither camera nor autopilot there."""
-    file = written(tmp_path, "/dev/video77", f"serial:{tmp_path / 'tty'}:57600")
-    assert checked(file, capsys) == (
-        1,
-        [
-            f"{file}: good",
-            f"camera.file {tmp_path / 'camera.json'}: 640 x 480",
-            "camera.device /dev/video77: MISSING: No such file or directory",
-            f"telemetry.url serial:{tmp_path / 'tty'}:57600: MISSING: No such file or directory",
-        ],
-    )
-
-
 def test_what_is_there_is_good(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], serial_line: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -85,48 +70,6 @@ def test_a_node_that_takes_no_pictures_is_no_camera(
     code, lines = checked(written(tmp_path, "/dev/video1", f"serial:{serial_line}:57600"), capsys)
     assert (code, "MISSING: Test Cam takes no pictures" in lines[2]) == (1, True)
     assert device.is_closed
-
-
-@pytest.mark.parametrize("url", ["udpin:127.0.0.1:14550", "udpout:127.0.0.1:14550", "tcp:127.0.0.1:5760"])
-def test_of_the_network_it_says_that_no_one_can_know(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], url: str
-) -> None:
-    (tmp_path / "frames").mkdir()
-    Image.new("L", (640, 480)).save(tmp_path / "frames" / "20260612T101523.25Z.png")
-    code, lines = checked(written(tmp_path, f"replay:{tmp_path / 'frames'}", url), capsys)
-    assert (code, lines[2].endswith("recorded pictures")) == (0, True)
-    assert "cannot be known" in lines[3]
-
-
-def test_pictures_that_run_would_refuse_are_refused_here(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "frames").mkdir()
-    for size, printed in ((None, "no picture in it"), ((64, 48), "the camera file states 640 x 480")):
-        if size is not None:
-            Image.new("L", size).save(tmp_path / "frames" / "20260612T101523.25Z.png")
-        file = written(tmp_path, f"replay:{tmp_path / 'frames'}", "udpin:127.0.0.1:14550")
-        assert main(["check-config", "--fly", "--config", str(file)]) == 2
-        complaint = capsys.readouterr().err
-        assert printed in complaint and complaint.count("\n") == 1
-
-
-def test_a_file_is_no_serial_line_and_recorded_pictures_must_be_there(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "tty").write_text("")
-    code, lines = checked(written(tmp_path, f"replay:{tmp_path / 'none'}", f"nmea:{tmp_path / 'tty'}:9600"), capsys)
-    assert code == 1
-    assert lines[2].endswith("MISSING: no such file or folder")
-    assert lines[3].endswith("MISSING: is no serial device")
-
-
-@pytest.mark.parametrize("url", ["carrier:pigeon", "tlog:/nonexistent.tlog", "serial:/dev/ttyAMA0:7"])
-def test_what_no_waiting_mends_is_the_configurations_fault(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], url: str
-) -> None:
-    assert main(["check-config", "--fly", "--config", str(written(tmp_path, "/dev/video0", url))]) == 2
-    out, complaint = capsys.readouterr()
-    assert (out, complaint.count("\n")) == ("", 1)
-    assert "telemetry.url" in complaint
 
 
 def test_keys_of_the_link_that_are_missing_or_closed_to_the_service_are_reported(
@@ -151,16 +94,6 @@ def test_keys_of_the_link_that_are_missing_or_closed_to_the_service_are_reported
     code, lines = checked(file, capsys)
     (line,) = [line for line in lines if line.startswith("link.key")]
     assert code == 1 and "MISSING: the service's user pointclick may not" in line and "chgrp pointclick" in line
-
-
-@pytest.mark.parametrize("link", ['listen = ["tls/0.0.0.0:7447"]', 'ca = "ca.pem"\ncertificate = "certificate.pem"'])
-def test_encryption_without_all_three_files_is_the_configurations_fault(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], link: str
-) -> None:
-    file = written(tmp_path, "/dev/video77", "udpin:127.0.0.1:14550")
-    file.write_text(f"{file.read_text()}[link]\n{link}\n")
-    assert main(["check-config", "--fly", "--config", str(file)]) == 2
-    assert "link.ca, link.certificate and link.key" in capsys.readouterr().err
 
 
 def test_a_password_is_not_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
