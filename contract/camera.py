@@ -29,7 +29,8 @@ Sigma = tuple[float, float, float, float, float]
 UNKNOWN_SIGMA = (0.02, 0.01, 0.01, 0.05, 0.05)
 SIGMA_KEYS = ("fx", "cx", "cy", "k1", "k2")  # of a camera file's calibration, in the order of `Camera.sigma`
 DISTORTION = "distortion_opencv_k1_k2_p1_p2_k3"
-KEYS = ("model", "size_px", "fx_px", "fy_px", "cx_px", "cy_px", DISTORTION, "calibration", "zoom")
+PIXEL_ASPECT = "pixel_aspect"
+KEYS = ("model", "size_px", "fx_px", "fy_px", "cx_px", "cy_px", DISTORTION, "calibration", "zoom", PIXEL_ASPECT)
 # What `calibrate` writes of how good it is; only the sigmas are used.
 ABOUT = (
     *("sigma", "verdict", "views", "reprojection_rms_px", "distortion_model", "worst_direction_sigma_px"),
@@ -39,6 +40,10 @@ ALL_SIGMAS = (*SIGMA_KEYS, "fy", "p1", "p2", "k3")
 # Of what a lens without a fisheye's projection can be: 157 to 0.3 degrees wide; pixels up to twice as wide as high.
 FOCAL_SHARES = (0.1, 200.0)  # of the picture's longer side
 MAX_ASPECT = 2.0
+# Of a pixel that is not declared to have another shape: analogue video's are up to 1.1 times as wide as high, or as
+# high as wide. More is more often a mistyped number than squeezed pixels.
+MAX_UNDECLARED_ASPECT = 1.12
+SAME_ASPECT = 0.05
 MAX_SIZE_PX = 100_000
 MAX_COEFFICIENT = 1e6  # of a long lens, whose picture ends at a hundredth of its focal length
 # Where the radial polynomial's slope has fallen this low, a pixel of noise is three in normalised coordinates: the
@@ -105,8 +110,7 @@ class Camera:
         width, height = (whole(n, 16, MAX_SIZE_PX, f"{what}: size_px") for n in size)
         low, high = (share * max(size) for share in FOCAL_SHARES)
         fx, fy = (number(raw[key], low, high, f"{what}: {key}") for key in KEYS[2:4])
-        if not 1.0 / MAX_ASPECT <= fx / fy <= MAX_ASPECT:
-            raise InputError(f"{what}: fx_px is {fx / fy:.3g} times fy_px: no pixel has such a shape")
+        _check_pixel(fx, fy, raw.get(PIXEL_ASPECT), what)
         cx = number(raw["cx_px"], -0.5, width - 0.5, f"{what}: cx_px")
         cy = number(raw["cy_px"], -0.5, height - 0.5, f"{what}: cy_px")
         k1, k2, p1, p2, k3 = numbers(raw.get(DISTORTION, [0.0] * 5), 5, MAX_COEFFICIENT, f"{what}: {DISTORTION}")
@@ -143,6 +147,7 @@ class Camera:
                 "cy_px": self.cy_px,
                 DISTORTION: list(self.distortion),
                 "calibration": {"sigma": dict(zip(SIGMA_KEYS, self._sigma_as_written(), strict=True))},
+                **({} if is_nearly_square(self.fx_px, self.fy_px) else {PIXEL_ASPECT: self.fy_px / self.fx_px}),
                 **({} if self.zoom is None else {"zoom": self.zoom.to_json()}),
             },
             indent=1,
@@ -322,3 +327,24 @@ def _stated_sigmas(raw: object, what: str) -> list[float] | None:
         raise InputError(f"{what}.sigma must be a JSON object")
     check_keys(stated, ALL_SIGMAS, f"{what}.sigma", needed=SIGMA_KEYS)
     return [number(stated[key], 0.0, 1e6, f"{what}.sigma: {key}") for key in SIGMA_KEYS]
+
+
+def is_nearly_square(fx_px: float, fy_px: float) -> bool:
+    """Whether pixels have a shape that needs no declaration."""
+    return max(fx_px / fy_px, fy_px / fx_px) <= MAX_UNDECLARED_ASPECT
+
+
+def _check_pixel(fx_px: float, fy_px: float, declared: object, what: str) -> None:
+    """Raise InputError unless the pixels are nearly square, or of the shape that the file declares."""
+    aspect = fy_px / fx_px
+    if not 1.0 / MAX_ASPECT <= aspect <= MAX_ASPECT:
+        raise InputError(f"{what}: fx_px is {1.0 / aspect:.3g} times fy_px: no pixel has such a shape")
+    if declared is not None:
+        stated = number(declared, 1.0 / MAX_ASPECT, MAX_ASPECT, f"{what}: {PIXEL_ASPECT}")
+        if abs(stated / aspect - 1.0) > SAME_ASPECT:
+            raise InputError(f"{what}: {PIXEL_ASPECT} is {stated:g}, and fy_px is {aspect:.4g} times fx_px")
+    elif not is_nearly_square(fx_px, fy_px):
+        raise InputError(
+            f"{what}: fy_px is {aspect:.4g} times fx_px: one is wrong, or pixels are not square; if so add "
+            f'"{PIXEL_ASPECT}": {aspect:.4g}, their width over their height'
+        )

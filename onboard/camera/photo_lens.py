@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 
 from PIL import ExifTags
 
+from contract.camera import is_nearly_square
+
 FULL_FRAME_DIAGONAL_MM = 43.2666
 MM_OF_UNIT = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}  # FocalPlaneResolutionUnit
 # One sigma of a focal length, as a share. DJI's dewarping data, Skydio's and the rigs' come from a calibration of the
@@ -85,7 +87,7 @@ def focal_of(
         or _by_plane(details, full_px)
     )
     equivalent = _by_equivalent(details, size_px, model)
-    if found is None:
+    if found is None or not is_nearly_square(found.fx_px, found.fy_px):  # no photograph's pixels are squeezed
         return equivalent
     found = found.resized(size_px[0] / full_px[0])
     if equivalent is None:

@@ -5,11 +5,13 @@ from __future__ import annotations
 import csv
 import io
 import math
+from dataclasses import replace
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
 
 from contract.errors import InputError
 from onboard.events.types import Attitude, GimbalAttitude, GpsQuality, NavEvent, PositionFix, RangeFinder
+from onboard.telemetry.contradictions import agreeing
 from onboard.telemetry.telemetry_log import TelemetryLog, quaternion, vouched
 
 POSITION = ("lat_deg", "lon_deg", "height_amsl_m")
@@ -70,10 +72,14 @@ def read_csv(path: Path | str) -> TelemetryLog:
     if not positions:
         raise InputError(f"telemetry {path}: no position in it ({', '.join(POSITION)} all in one line)")
     claims = [_claim(stamp_ns, row) for stamp_ns, row in ordered if "lat_deg" in row]
-    events = vouched(positions, claims)
+    try:
+        agree, contradictions = agreeing(positions)
+    except InputError as error:
+        raise InputError(f"telemetry {path}: {error}") from error
+    events = vouched([positions[at] for at in agree], [claims[at] for at in agree])
     for stamp_ns, row in ordered:
         events += _others(stamp_ns, row)
-    return TelemetryLog.by_stamp(events)
+    return replace(TelemetryLog.by_stamp(events), notes=tuple(contradictions))
 
 
 def _row(row: dict[str | None, str | None], where: str) -> tuple[int, Row]:

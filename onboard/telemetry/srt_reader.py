@@ -22,6 +22,7 @@ from typing import TypeGuard
 
 from contract.errors import InputError
 from onboard.events.types import Attitude, GimbalAttitude, GpsQuality, NavEvent, PositionFix
+from onboard.telemetry.contradictions import LEAST_SHARE, agreeing
 from onboard.telemetry.srt_axis_order import (
     MAX_SATELLITES,
     METRES_A_DEGREE,
@@ -53,6 +54,7 @@ _TAG = re.compile(r"<[^>]*>")
 # A position stands still between the receiver's own: only the subtitle in which it moved has its time. One that hovers
 # is repeated this often.
 STANDING_NS = 1_000_000_000
+SAME_BEGINNING_NS = 10_000_000_000  # by two dates: frame rates are rounded, and an hour of them is 4 s off
 EMPTY_EPOCH_NS = 946_684_800_000_000_000  # of a log without any date: 2000-01-01
 # `abs_alt` is a height in the standard atmosphere on many models: it differs from the true one as the day's pressure
 # does from 1013 hPa, by 8.3 m a hPa, and a sea-level pressure has a sigma of about 12 hPa. It is the same error for a
@@ -116,17 +118,22 @@ def read_srt(path: Path | str, home_amsl_m: float | None = None, gps_order: Orde
         raise InputError(
             f"telemetry {path}: heights above the take-off only; state its height above sea level: --home-amsl-m M"
         )
-    epoch_ns = _epoch_ns(subtitles)
-    positions, claims = _positions(placed, epoch_ns, home_amsl_m)
-    if not positions:
-        raise InputError(f"telemetry {path}: no height above the take-off in its subtitles; leave --home-amsl-m out")
+    try:
+        epoch_ns, dates = _epoch_ns(subtitles)
+        positions, claims = _positions(placed, epoch_ns, home_amsl_m)
+        if not positions:
+            raise InputError("no height above the take-off in its subtitles; leave --home-amsl-m out")
+        agree, contradictions = agreeing(positions)
+    except InputError as error:
+        raise InputError(f"telemetry {path}: {error}") from error
+    positions, claims = [positions[at] for at in agree], [claims[at] for at in agree]
     events = vouched(positions, claims)
     for subtitle in subtitles:
         events += _attitudes(subtitle, epoch_ns)
     return replace(
         TelemetryLog.by_stamp(events),
         video_epoch_ns=epoch_ns,
-        notes=(*notes, *_stabilisation_note(subtitles), *_height_note(claims)),
+        notes=(*notes, *dates, *contradictions, *_stabilisation_note(subtitles), *_height_note(claims)),
         digital_zoom=_zoom_steps(subtitles, epoch_ns),
     )
 
@@ -295,12 +302,27 @@ def _date_ns(text: str) -> int | None:
     return round(moment.timestamp()) * 1_000_000_000 + int(found[7] or 0) * 1_000_000 + int(found[8] or 0) * 1000
 
 
-def _epoch_ns(subtitles: list[_Subtitle]) -> int:
-    """When the video began: the dates less the video's time. Whole seconds are cut off, never rounded up, so that the
-    latest beginning that they allow is the best.
+def _epoch_ns(subtitles: list[_Subtitle]) -> tuple[int, list[str]]:
+    """When the video began: the dates less the video's time; and a note of dates that contradict it.
+
+    Whole seconds are cut off, never rounded up, so that the latest beginning that they allow is the best. Raises
+    InputError where dates contradict one another and too few agree.
     """
-    began = [s.taken_ns - s.at_ns for s in subtitles if s.taken_ns is not None]
-    return max(began) if began else EMPTY_EPOCH_NS
+    began = sorted(s.taken_ns - s.at_ns for s in subtitles if s.taken_ns is not None)
+    if not began:
+        return EMPTY_EPOCH_NS, []
+    middle_ns = began[len(began) // 2]
+    agree = [one for one in began if abs(one - middle_ns) <= SAME_BEGINNING_NS]
+    if len(agree) == len(began):
+        return began[-1], []
+    if len(agree) < LEAST_SHARE * len(began):
+        days = [
+            f"{datetime.fromtimestamp(one // 1_000_000_000, UTC):%Y-%m-%d %H:%M:%S}" for one in (began[0], began[-1])
+        ]
+        raise InputError(
+            f"its dates contradict one another: the video began at {days[0]} by one, at {days[1]} by another"
+        )
+    return agree[-1], [f"{len(began) - len(agree)} of {len(began)} dates contradict the others and are not used"]
 
 
 def _positions(

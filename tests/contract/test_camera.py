@@ -91,6 +91,10 @@ def test_a_camera_file_survives(tmp_path: Path) -> None:
         ({"cx_px": 3195.0}, "cx_px is 3195.0: must be a number from -0.5 to 639.5"),
         ({"fx_px": 8.0}, "fx_px is 8.0"),
         ({"fx_px": 2000.0, "fy_px": 700.0}, "2.86 times fy_px"),
+        ({"fx_px": 400.0, "fy_px": 782.0}, 'fy_px is 1.955 times fx_px.*add "pixel_aspect": 1.955'),
+        ({"fx_px": 500.0, "fy_px": 440.0}, "fy_px is 0.88 times fx_px"),
+        ({"fx_px": 400.0, "fy_px": 782.0, "pixel_aspect": 1.42}, "pixel_aspect is 1.42, and fy_px is 1.955 times"),
+        ({"pixel_aspect": "1:1"}, "pixel_aspect"),
         ({"fx_px": 10**400}, "camera.json"),
         ({"fx_px": True}, "fx_px"),
         ({"size_px": [640.5, 480]}, "640.5: must be a whole number"),
@@ -119,11 +123,14 @@ def test_lenses_as_there_are_are_accepted(tmp_path: Path) -> None:
     for change in (
         {"fx_px": 110.0, "fy_px": 110.0},
         {"fx_px": 60_000.0, "fy_px": 60_000.0, "distortion_opencv_k1_k2_p1_p2_k3": [2.0, 900.0, 0.0, 0.0, 0.0]},
-        {"fx_px": 250.0, "fy_px": 490.0},
+        {"fx_px": 250.0, "fy_px": 490.0, "pixel_aspect": 1.96},
+        {"fx_px": 500.0, "fy_px": 546.0},  # analogue video
         {"cx_px": 12.0},
     ):
         path.write_text(json.dumps({**json.loads(MILD.to_json()), **change}))
-        assert Camera.from_json(path).size_px == MILD.size_px
+        camera = Camera.from_json(path)
+        assert camera.size_px == MILD.size_px
+        assert Camera.from_text(camera.to_json(), "as written") == camera
 
 
 def test_a_missing_key_file_and_syntax_are_named(tmp_path: Path) -> None:

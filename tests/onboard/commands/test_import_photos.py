@@ -368,6 +368,12 @@ def test_dewarping_data_are_a_calibration(tmp_path: Path) -> None:
     assert straight is not None and straight.distortion == (0.0, 0.0, 0.0, 0.0, 0.0)
 
 
+def test_dewarping_data_whose_pixels_would_be_twice_as_wide_as_high_are_none(tmp_path: Path) -> None:
+    attributes = 'd:DewarpData="2018-09-24;300.5,588.0,2.0,-1.5,0,0,0,0,0"'
+    focal = read_photo(photo(tmp_path, attributes, details={"FocalLengthIn35mmFilm": 24})).focal
+    assert focal is not None and focal.source.startswith("FocalLengthIn35mmFilm")
+
+
 DEWARP = 'd:DewarpData="2018-09-24;3666.7,3666.7,20.0,-15.0,-0.26,0.11,0.0001,-0.0002,-0.03"'
 
 

@@ -180,3 +180,47 @@ def test_digital_zoom_is_read_in_every_way_it_is_written(tmp_path: Path, text: s
 def test_stabilisation_that_was_on_is_reported(tmp_path: Path, word: str, is_on: bool) -> None:
     notes = read(tmp_path, f"{PLACE} [vsync: 0] [eis: {word}] [shift x: 0.00, y: 0.00]").notes
     assert any("stabilisation was on" in note and word in note for note in notes) is is_on
+
+
+def placed(*offsets_m: float) -> list[str]:
+    return [
+        f"[latitude: {47.0 + north_m / METRES_A_DEGREE:.7f}] [longitude: 8.2] [rel_alt: 30 abs_alt: 530]"
+        for north_m in offsets_m
+    ]
+
+
+def test_two_rows_that_contradict_one_another_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"a\.srt: positions contradict one another: .* 4993 m and 1\.00 s apart"):
+        read(tmp_path, *placed(0.0, 5000.0))
+    assert len([e for e in read(tmp_path, *placed(0.0, 250.0)).events if isinstance(e, PositionFix)]) == 2
+
+
+@pytest.mark.parametrize("wrong", [0, 7, 19])
+def test_one_row_that_contradicts_all_others_is_left_out_and_reported(tmp_path: Path, wrong: int) -> None:
+    rows = placed(*(20.0 * i + 40_000.0 * (i == wrong) for i in range(20)))
+    log = read(tmp_path, *rows)
+    fixes = [event for event in log.events if isinstance(event, PositionFix)]
+    assert len(fixes) == 19 and max(fix.lat_deg for fix in fixes) < 47.01
+    assert any("1 of 20 positions contradict the others" in note for note in log.notes)
+
+
+def test_dates_that_contradict_one_another_are_refused_and_one_among_many_is_left_out(tmp_path: Path) -> None:
+    dated = [f"2024-05-01 10:00:{i:02d}.000\n{row}" for i, row in enumerate(placed(*(20.0 * i for i in range(20))))]
+    good = read(tmp_path, *dated)
+    with pytest.raises(InputError, match=r"dates contradict one another.*2024-05-01 10:00:00.*2024-05-01 11:00:00"):
+        read(tmp_path, dated[0], dated[1].replace(" 10:", " 11:"))
+    late = read(tmp_path, *dated[:9], dated[9].replace(" 10:", " 11:"), *dated[10:])
+    assert late.video_epoch_ns == good.video_epoch_ns and good.notes != late.notes
+    assert any("1 of 20 dates" in note for note in late.notes)
+
+
+def test_a_table_s_rows_are_judged_in_the_same_way(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"{1.7e9 + 0.1 * i:.2f},{47.0 + 1e-5 * i + (i == 9):.7f},8.2,500" for i in range(20)]
+    path.write_text("\n".join(["unix_time_s,lat_deg,lon_deg,height_amsl_m", *rows]) + "\n")
+    log = read_log(path)
+    assert len([event for event in log.events if isinstance(event, PositionFix)]) == 19
+    assert any("1 of 20 positions contradict" in note for note in log.notes)
+    path.write_text("\n".join(["unix_time_s,lat_deg,lon_deg,height_amsl_m", *rows[8:10]]) + "\n")
+    with pytest.raises(InputError, match="positions contradict one another"):
+        read_log(path)
