@@ -1,4 +1,4 @@
-"""Rows of a file of positions that contradict one another: the few are left out, where they are many, the file is refused."""
+"""Rows of a file of positions that contradict one another: a few are left out; of many, none is used."""
 
 from __future__ import annotations
 
