@@ -117,11 +117,16 @@ def check_writable(path: Path) -> None:
         raise InputError(f"{path}: cannot be written there")
 
 
-def write(path: Path, content: bytes) -> None:
-    """The whole file or none of it; raises InputError."""
+def write(path: Path, content: bytes, mode: int = 0o666, owner: tuple[int, int] | None = None) -> None:
+    """The whole file or none of it, with its owner and mode before there is anything in it; raises InputError."""
     part = path.with_name(path.name + ".part")
     try:
-        part.write_bytes(content)
+        part.unlink(missing_ok=True)
+        with os.fdopen(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as stream:
+            if owner is not None:
+                os.fchown(stream.fileno(), *owner)
+                os.fchmod(stream.fileno(), mode)
+            stream.write(content)
         part.replace(path)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from error

@@ -7,7 +7,6 @@ given nor the only one found is an error in one line. Nothing is written before 
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -169,13 +168,11 @@ def _finish(config_path: Path, written: str, left: list[str], around: Surroundin
 
 def _write_config(path: Path, text: str, *, has_password: bool) -> None:
     """With owner and mode of the file that it replaces; a new one with a password is readable by no one else."""
-    was = path.stat() if path.exists() else None
-    write(path, text.encode())
-    if was is not None:
-        path.chmod(was.st_mode & 0o777)
-        os.chown(path, was.st_uid, was.st_gid)
-    elif has_password:
-        path.chmod(0o600)
+    if path.exists():
+        was = path.stat()
+        write(path, text.encode(), was.st_mode & 0o777, (was.st_uid, was.st_gid))
+    else:
+        write(path, text.encode(), 0o600 if has_password else 0o666)
 
 
 def _check_free(path: Path, force: bool) -> None:

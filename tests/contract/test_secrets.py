@@ -39,6 +39,20 @@ SECRET = "hunter2"
         ("exec:curl -H 'X-Api-Key: hunter2' http://cam", "exec:curl -H 'X-Api-Key: ***' http://cam"),
         ("http://cam/a.cgi?loginuse=anna&loginpas=hunter2", "http://cam/a.cgi?loginuse=***&loginpas=***"),
         ("https://cam/live?jwt=hunter2", "https://cam/live?jwt=***"),
+        ("rtsp://anna:1234/56@cam:554/live", "rtsp://cam:554/live"),
+        ("rtsp://anna:1234/56@10.0.0.2:554/live", "rtsp://10.0.0.2:554/live"),
+        ("rtsp://anna:hun ter2hunter2@cam/live", "rtsp://cam/live"),
+        ("rtsp://anna:'hunter2@cam/live", "rtsp://cam/live"),
+        ('rtsp://anna:a"hunter2@cam/live', "rtsp://cam/live"),
+        ("srt://h:99?streamid=hunter2", "srt://h:99?streamid=***"),
+        ("srt://h:99?mode=caller&streamid=#!::r=live,u=anna,s=hunter2", "srt://h:99?mode=caller&streamid=***"),
+        ("rtmp://a.example/live/hunter2", "rtmp://a.example/live/***"),
+        ("rtmps://a.example:443/app/x-hunter2?backup=1", "rtmps://a.example:443/app/***?backup=1"),
+        ("rtsp://cam/live/hunter2KEY", "rtsp://cam/live/***"),
+        ("srt://cam:9/s/hunter2hunter2hunter2", "srt://cam:9/s/***"),
+        ("http://cam/x?p%61ssword=hunter2", "http://cam/x?password=***"),
+        ("rtsp://anna%3Ahunter2%40cam/live", "rtsp://cam/live"),
+        ("http%3A%2F%2Fanna%3Ahunter2%40cam%2Flive", "http://cam/live"),
         ("exec:curl -H 'Authorization: Bearer hunter2' http://cam", None),
         ("postgresql://anna:hunter2@host/pins", "postgresql://host/pins"),
         ('could not open "rtsp://anna:hunter2@cam/live": 401', 'could not open "rtsp://cam/live": 401'),
@@ -46,7 +60,7 @@ SECRET = "hunter2"
 )  # fmt: skip
 def test_a_secret_is_left_out_and_the_rest_stays(text: str, shown: str | None) -> None:
     found = without_secrets(text)
-    assert SECRET not in found and "1234" not in found
+    assert SECRET not in found and "1234" not in found and "anna" not in found
     assert shown is None or found == shown
     assert without_secrets(found) == found
 
@@ -57,6 +71,10 @@ def test_a_secret_is_left_out_and_the_rest_stays(text: str, shown: str | None) -
         "rtsp://10.0.0.2:554/live", "rtsp://cam:554/stream@1", "serial:/dev/serial/by-id/usb-A_B:C@0:57600",
         "udpin:0.0.0.0:14550", "tls/10.0.0.7:7447", "gst:x264enc key-int-max=30 ! fakesink",
         "link.key = 'a.pem' is not usable: text", "camera.json: unknown key 'distortion'; did you mean 'x'?",
+        "rtsp://192.168.1.10:554/Streaming/Channels/101", "rtsp://cam/live/camera01", "rtsp://cam/live/ch01_sub",
+        "rtmp://host/app", "srt://0.0.0.0:9000?mode=listener", "rtsp://cam/50%25/live", "file:///a%20b/c.mp4",
+        "rtsp://cam:554/a/b@1", "rtsp://cam:554: refused, ask me@host/x", "rtsp://cam/live; ask a@b",
+        "http://127.0.0.1:8080/flights/20261128T102030Z-uav1-0001",
         "give --key with --certificate and --ca", "replay:/data/flight one@2", "2026-11-28 10:20:30 lost at 0:10@3",
     ],
 )  # fmt: skip

@@ -354,3 +354,20 @@ def test_silence_others_and_a_wire_that_is_not_there_are_none(tmp_path: Path) ->
         for _ in range(3):
             sender.sendto(gcs.pack(mavlink.MAVLink(None, 255, 190)), ("127.0.0.1", port))
         assert listen(f"udpin:127.0.0.1:{port}", 0.3) == []
+
+
+@pytest.mark.parametrize(("there", "mode"), [(None, 0o600), (0o640, 0o640)])
+def test_a_password_is_in_no_file_that_others_can_read_for_a_moment(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, there: int | None, mode: int
+) -> None:
+    out, seen = tmp_path / "config.toml", []
+    if there is not None:
+        out.write_text("")
+        out.chmod(there)
+    (tmp_path / "config.toml.part").write_text("of a run that was ended, and readable by all")
+    replaced = Path.replace
+    monkeypatch.setattr(
+        Path, "replace", lambda part, to: (seen.append(part.stat().st_mode & 0o777), replaced(part, to))
+    )
+    setup._write_config(out, "device = 'rtsp://anna:hunter2@cam'", has_password=True)
+    assert seen == [mode] and out.stat().st_mode & 0o777 == mode and "hunter2" in out.read_text()
