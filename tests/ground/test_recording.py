@@ -1,6 +1,5 @@
 import dataclasses
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -199,27 +198,6 @@ def long_session(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[t
 Long = tuple[Path, list[tuple[int, int]], list[int]]
 
 
-@pytest.mark.parametrize("length", [2**63, 2**31, 10**6, 5000, 100, 3, 0])
-def test_a_damaged_record_length_costs_that_record_and_is_reported(
-    long_session: Long, tmp_path: Path, length: int
-) -> None:
-    """33 of 100 pictures used to be all that was found, without a word."""
-    path, places, of_sets = long_session
-    content = bytearray(path.read_bytes())
-    at, true_length = places[of_sets[33]]
-    content[at + 1 : at + 9] = length.to_bytes(8, "little")
-    damaged = tmp_path / "damaged.mcap"
-    damaged.write_bytes(content)
-    recording = Recording(damaged)
-    assert set(range(100)) - set(recording.frames("uav-1")) <= {33}
-    assert recording.by_frame("uav-1", 34) is not None and recording.by_frame("uav-1", 99) is not None
-    (printed,) = recording.damage
-    assert str(damaged) in printed and "damaged from byte" in printed
-    place, size = (int(number) for number in re.findall(r"\d+", printed.split("damaged from byte")[1]))
-    assert at <= place <= at + 9 + true_length and place + size == places[of_sets[33] + 1][0]
-    assert Recording(path).damage == []
-
-
 def test_a_click_on_a_damaged_recording_is_answered_with_a_warning(
     long_session: Long, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -254,20 +232,6 @@ def test_any_damaged_heads_cost_no_more_than_their_neighbours(long_session: Long
     lost = {frame for frame, i in enumerate(of_sets) if i in near}
     assert set(range(100)) - set(recording.frames("uav-1")) <= lost
     assert recording.damage and all(str(damaged) in line for line in recording.damage)
-
-
-def test_a_recording_damaged_to_its_end_says_so_and_one_cut_off_does_not(long_session: Long, tmp_path: Path) -> None:
-    path, places, of_sets = long_session
-    content = path.read_bytes()
-    at = places[of_sets[60]][0]
-    overwritten = tmp_path / "overwritten.mcap"
-    overwritten.write_bytes(content[:at] + bytes(len(content) - at))
-    recording = Recording(overwritten)
-    assert recording.frames("uav-1") == list(range(60)) and len(recording.damage) == 1
-    cut = tmp_path / "cut.mcap"
-    cut.write_bytes(content[: at + 40])
-    recording = Recording(cut)
-    assert recording.frames("uav-1") == list(range(60)) and recording.damage == []
 
 
 def test_a_chunked_recording_that_cannot_be_read_to_its_end_says_so(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Recordings with damage in the middle: what comes after it is read, and what is lost is counted."""
+"""Damaged recordings on board: how much of pictures and events is lost. Sets: tests/test_damaged_recordings.py."""
 
 from __future__ import annotations
 
@@ -94,11 +94,11 @@ def test_a_whole_file_has_neither_damage_nor_caveats(whole: bytes, tmp_path: Pat
 
 
 @pytest.mark.parametrize(
-    "length",
-    [1 << 60, (1 << 64) - 1, 40_000_000, 3, 0, 25, 20_000, 90_000],
+    ("length", "share"),
+    [(1 << 60, 0.0), ((1 << 64) - 1, 0.33), (40_000_000, 0.71), (3, 0.0), (0, 0.33), (25, 0.71), (20_000, 0.33),
+     (90_000, 0.71)],
     ids=["huge", "most", "past the end", "tiny", "none", "short", "half", "into the next"],
-)
-@pytest.mark.parametrize("share", [0.0, 0.33, 0.71])
+)  # fmt: skip
 def test_a_damaged_length_in_mid_file_costs_that_record_alone(
     whole: bytes, tmp_path: Path, length: int, share: float
 ) -> None:
@@ -156,27 +156,12 @@ def test_a_channel_of_which_nothing_can_be_read_is_no_damage(whole: bytes, tmp_p
         list(RecordedFlight.open([path]).events())
 
 
-def test_two_damaged_places_are_both_passed(whole: bytes, tmp_path: Path) -> None:
-    pictures = messages_of(whole, longer_than=20_000)
-    content = with_length(with_length(whole, pictures[20], 1 << 60), pictures[70], 1 << 60)
-    recorded, events = opened(tmp_path, content)
-    assert set(range(PICTURES)) - set(frames_of(events)) == {20, 70}
-    assert any("and 1 later" in caveat for caveat in recorded.caveats)
-
-
 def test_channels_whose_own_records_are_lost_are_known_from_the_end_of_the_file(whole: bytes, tmp_path: Path) -> None:
     channels = [(begin, end) for opcode, begin, end in records_of(whole) if opcode == 4]
     begin = channels[1][0]  # of the frames: the second to come, after that of the pictures
     recorded, events = opened(tmp_path, with_length(whole, begin, 1 << 60))
     assert set(range(1, PICTURES)) <= set(frames_of(events))
     assert recorded.damaged
-
-
-def test_a_file_that_is_only_cut_is_not_called_damaged(whole: bytes, tmp_path: Path) -> None:
-    for share in (0.3, 0.61, 0.9):
-        recorded, events = opened(tmp_path, whole[: round(share * len(whole))])
-        assert len(frames_of(events)) == pytest.approx(share * PICTURES, abs=3)
-        assert recorded.damaged == {}
 
 
 def test_a_replay_says_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -228,16 +213,6 @@ def test_whatever_is_damaged_nothing_is_read_that_was_not_written(share: float, 
         assert all(part.end > part.start for part in parts if isinstance(part, Damage))
         lost = sum(part.count for part in parts if isinstance(part, Lost))
         assert lost <= 2 and (len(read) + lost == len(written) or not lost)
-
-
-@pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
-def test_a_message_that_looks_like_the_end_of_the_data_is_not_its_end(share: float) -> None:
-    content, records, _ = _small()
-    messages = [begin for opcode, begin, _ in records if opcode == 5]
-    begin = messages[round(share * (len(messages) - 1))]
-    parts = list(walk(io.BytesIO(content[:begin] + b"\x0f" + content[begin + 1 :])))
-    assert sum(isinstance(part, tuple) for part in parts) == len(messages) - 1
-    assert any(isinstance(part, Damage) for part in parts)
 
 
 @functools.cache
