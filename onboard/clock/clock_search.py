@@ -7,7 +7,7 @@ stated of it beforehand, how the pictures move, and which shots the autopilot ha
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +22,8 @@ from onboard.navigation.limits import CLEAR, MOST_OF
 Array = NDArray[np.float64]
 
 STEP_S, FINE_S = 0.1, 0.02  # of the offsets compared, everywhere and about the best
+CLOSE = np.linspace(-1.0, 1.0, 41)  # about a minimum, of as far as it reaches
 NEAR_S = 1.0  # within which two offsets are the same minimum
-RESOLVED_S = 0.05  # one sigma, at least: of delays in the log and of its sampling
 WIDEST_S = 1.1  # one sigma at most that the flight itself can resolve
 REACH_S = 15.0 * 3600.0  # of clocks: any zone
 ASTRAY = 1e-3  # how likely what is stated is wrong altogether
@@ -58,7 +58,10 @@ class Unknown:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """The data of a search: the log's path, the pictures' moments (ns) with one sigma (s) of each, motion, shots."""
+    """The data of a search: the log's path, the pictures' moments (ns) with one sigma (s) of each, motion, shots.
+
+    `position_sigma_s`: one sigma of by how much the log's positions are older than its attitudes.
+    """
 
     track: LogTrack
     moments_ns: Sequence[int]
@@ -66,6 +69,7 @@ class Evidence:
     pairs: Pairs
     noises: Sequence[MotionNoise]  # that may be true; the likeliest is taken
     shots_ns: Sequence[int] = ()
+    position_sigma_s: float = 0.0
 
 
 def search(evidence: Evidence, stated: Stated | None) -> Clock | Unknown:
@@ -82,9 +86,7 @@ def search(evidence: Evidence, stated: Stated | None) -> Clock | Unknown:
     fine_s = best_s + np.arange(-reach_s, reach_s + FINE_S / 2, FINE_S)
     fine, square = cost.of(fine_s)
     dispersion = _dispersion(square[int(np.argmin(fine))])
-    likely = np.exp(-0.5 * (fine - fine.min()) / dispersion)
-    mean_s = float(np.average(fine_s, weights=likely))
-    sigma_s = float(np.sqrt(np.average(np.square(fine_s - mean_s), weights=likely) + RESOLVED_S**2))
+    mean_s, sigma_s = _estimate(cost, fine_s, dispersion)
     far = np.abs(offsets_s - mean_s) > reach_s
     rival = float(np.min(costs[far], initial=np.inf))
     if stated is not None and abs(mean_s - stated.offset_s) > reach_s:
@@ -97,6 +99,45 @@ def search(evidence: Evidence, stated: Stated | None) -> Clock | Unknown:
     if stated is None and not cost.is_consistent(square[int(np.argmin(fine))]):
         return Unknown("the pictures do not move as the log does at any time of it")
     return Clock(mean_s, sigma_s, cost.text(stated, square[int(np.argmin(fine))]))
+
+
+def _estimate(cost: _Cost, fine_s: Array, dispersion: float) -> tuple[float, float]:
+    """Mean and sigma of the offset, with the age of the log's positions estimated together with it. (28.9), (28.10)"""
+    age_sigma_s = cost.evidence.position_sigma_s
+    moments = _moments(cost, fine_s, dispersion)
+    variance = moments.sigma_s**2 * cost.motion.stamp_inflation(moments.mean_s)
+    variance += cost.evidence.stamp_sigma_s**2 / len(cost.evidence.moments_ns)  # of the stamps' mean, at least
+    if age_sigma_s <= 0.0:
+        return moments.mean_s, float(np.sqrt(variance))
+    younger, older = (_moments(cost.with_positions(age_s), fine_s, dispersion) for age_s in (-age_sigma_s, age_sigma_s))
+    # A parabola through the least costs at -1, 0 and 1 sigma of the age, and what is known of it beforehand.
+    slope, curvature = 0.5 * (older.least - younger.least), older.least + younger.least - 2.0 * moments.least
+    precision = 1.0 + max(0.5 * curvature, 0.0)
+    age = float(np.clip(-0.5 * slope / precision, -1.0, 1.0))
+    by_age_s = 0.5 * (older.mean_s - younger.mean_s)
+    return moments.mean_s + age * by_age_s, float(np.sqrt(variance + by_age_s**2 / precision))
+
+
+@dataclass(frozen=True)
+class _Moments:
+    """The least cost, and mean and sigma (s) of the offset by all costs."""
+
+    least: float
+    mean_s: float
+    sigma_s: float
+
+
+def _moments(cost: _Cost, fine_s: Array, dispersion: float) -> _Moments:
+    """By costs at these offsets, and then at offsets as close as the sigma found asks for."""
+    offsets_s, found = fine_s, _Moments(0.0, 0.0, 0.0)
+    for _ in range(2):
+        costs = cost.of(offsets_s)[0] / dispersion
+        likely = np.exp(-0.5 * (costs - costs.min()))
+        mean_s = float(np.average(offsets_s, weights=likely))
+        sigma_s = float(np.sqrt(np.average(np.square(offsets_s - mean_s), weights=likely)))
+        found = _Moments(float(costs.min()), mean_s, sigma_s)
+        offsets_s = mean_s + max(4.0 * sigma_s, 2.0 * FINE_S) * CLOSE
+    return found
 
 
 def _contradiction(stated: Stated, found_s: float) -> Unknown:
@@ -122,31 +163,35 @@ class _Cost:
     """All evidence of one flight at any offset. (28.7)"""
 
     def __init__(self, evidence: Evidence, noise: MotionNoise, stated: Stated | None) -> None:
-        self._evidence, self._noise, self._stated = evidence, noise, stated
-        self._motion = MotionCost(evidence.track, evidence.pairs, noise)
+        self.evidence, self._noise, self._stated = evidence, noise, stated
+        self.motion = MotionCost(evidence.track, evidence.pairs, noise)
+
+    def with_positions(self, age_s: float) -> _Cost:
+        """The same where the log's positions are older than its attitudes by so much."""
+        return _Cost(replace(self.evidence, track=self.evidence.track.with_positions(age_s)), self._noise, self._stated)
 
     def of(self, offsets_s: Array) -> tuple[Array, Array]:
         """(T,) costs and the pairs' squared sigmas (T, K)."""
-        fit = self._motion(offsets_s)
+        fit = self.motion(offsets_s)
         return fit.total.sum(axis=1) + self._others(offsets_s), fit.square
 
     def everywhere(self, offsets_s: Array) -> Array:
         """(T,) costs; of many pairs some judge all offsets, and all of them the best; inf where they did not."""
-        e, every = self._evidence, -(-len(self._evidence.pairs) // COARSE_PAIRS)
+        e, every = self.evidence, -(-len(self.evidence.pairs) // COARSE_PAIRS)
         others = self._others(offsets_s)
         if every <= 1:
-            fit = self._motion(offsets_s)
+            fit = self.motion(offsets_s)
             total: Array = fit.total.sum(axis=1) + others
             return total
         some = Pairs(e.pairs.moments_ns[::every], e.pairs.at[::every], e.pairs.to[::every])
         coarse = MotionCost(e.track, some, self._noise)(offsets_s).total.sum(axis=1) * every + others
         out = np.full(len(offsets_s), np.inf)
         kept = np.sort(np.argsort(coarse)[:KEPT])
-        out[kept] = self._motion(offsets_s[kept]).total.sum(axis=1) + others[kept]
+        out[kept] = self.motion(offsets_s[kept]).total.sum(axis=1) + others[kept]
         return out
 
     def _others(self, offsets_s: Array) -> Array:
-        e, stated = self._evidence, self._stated
+        e, stated = self.evidence, self._stated
         out = shot_cost(e.moments_ns, e.shots_ns, offsets_s, e.stamp_sigma_s)
         if stated is not None:
             away = (offsets_s - stated.offset_s) / stated.sigma_s
@@ -157,15 +202,15 @@ class _Cost:
         """Return whether pictures and log belong together at the best offset, by most of the pairs."""
         explained = np.isfinite(square)
         is_explained = bool(np.count_nonzero(explained) >= MOST_OF * len(square))
-        return bool(self._evidence.shots_ns) or (is_explained and _dispersion(square) < MISFIT)
+        return bool(self.evidence.shots_ns) or (is_explained and _dispersion(square) < MISFIT)
 
     def text(self, stated: Stated | None, square: Array) -> str:
         """By what the offset is known."""
         by = []
         if stated is not None:
             by.append(stated.source)
-        if self._evidence.shots_ns:
-            by.append(f"{len(self._evidence.shots_ns)} recorded shots")
+        if self.evidence.shots_ns:
+            by.append(f"{len(self.evidence.shots_ns)} recorded shots")
         if np.isfinite(square).any():
             by.append(f"the motion of {np.count_nonzero(np.isfinite(square))} pairs of pictures")
         return ", ".join(by)

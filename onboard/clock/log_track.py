@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +48,14 @@ class LogTrack:
     def end_ns(self) -> int:
         """The last sample's moment."""
         return self.start_ns + STEP_NS * (len(self.height_m) - 1)
+
+    def with_positions(self, age_s: float) -> LogTrack:
+        """The same where the positions are older by so much than they were taken to be."""
+        steps = np.arange(len(self.height_m), dtype=float)
+        columns = [
+            np.interp(steps + age_s * NS_PER_S / STEP_NS, steps, c) for c in (*self.centre_enu_m.T, self.height_m)
+        ]
+        return replace(self, centre_enu_m=np.stack(columns[:3], axis=1), height_m=columns[3])
 
 
 def log_track(log: TelemetryLog, config: Config) -> LogTrack:

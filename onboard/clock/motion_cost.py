@@ -6,7 +6,7 @@ offset predicts them over level ground; what is common to the flight (mount, hei
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ OUTLIERS = 0.05  # share of pairs to be left out: wrong matches, no ground plane
 LOG_BROAD = float(np.log(OUTLIERS / 2.0))
 ANNEALING = (8.0, 3.0, 1.0, 1.0)  # the sigmas' factors, from round to round
 MIN_DEPTH = 0.05  # of a direction in the second picture, in heights
+SLIGHT_NS = 20_000_000  # by which moments are moved for a derivative
 CHUNK = 40_000  # pairs times offsets at once
 
 
@@ -88,6 +89,46 @@ class MotionCost:
                 )
             )
         return MotionFit(*(np.concatenate(each) for each in zip(*((f.total, f.square) for f in parts), strict=True)))
+
+    def stamp_inflation(self, offset_s: float) -> float:
+        """The factor, 1 at least, by which the offset's variance exceeds that of pairs whose errors are independent.
+
+        A stamp's error moves all four values of both pairs that have the picture, together. (28.10)
+        """
+        offsets_s, n = np.array([offset_s]), self.noise
+        hypotheses = range(len(self.track.R_cam_enu))
+        hypothesis = int(np.argmin([self._fit(offsets_s, one).total.sum() for one in hypotheses]))
+        views = self._views(offsets_s, hypothesis)
+        known = views.known[0]
+        if not known.any():
+            return 1.0
+        A, variance = self._predicted(views)[1][0, known], self._variance(views)[0, known]
+        alone = MotionCost(self.track, self.pairs, replace(n, stamp_s=0.0))._variance(views)[0, known]
+        by_stamp = np.stack([self._by_stamp(offsets_s, hypothesis, side)[known] for side in (0, 1)])  # (2, K, 4)
+        X = np.concatenate([by_stamp.sum(axis=0)[..., None], A], axis=-1).reshape(-1, 1 + COMMON)
+        weighted = X / variance.reshape(-1, 1)
+        N = weighted.T @ X
+        N[1:, 1:] += self._precision
+        gain = np.linalg.solve(N, weighted.T)[0].reshape(-1, 4)
+        shown = (gain[None] * by_stamp).sum(axis=-1)  # (2, K): the offset by each stamp's error
+        moments, picture = np.unique(self.pairs.moments_ns[known], return_inverse=True)
+        by_picture = np.bincount(picture.reshape(-1), shown.T.reshape(-1), len(moments))
+        shared = float(np.sum(gain**2 * alone) + n.stamp_s**2 * np.sum(by_picture**2))
+        return max(shared / float(np.sum(gain**2 * variance)), 1.0)
+
+    def _by_stamp(self, offsets_s: Array, hypothesis: int, side: int) -> Array:
+        """(K, 4): how the summary goes with the moment of the first or the second picture, per s."""
+        apart = [0, 0]
+        apart[side] = SLIGHT_NS
+        before, after = (
+            MotionCost(
+                self.track, replace(self.pairs, moments_ns=self.pairs.moments_ns + sign * np.array(apart)), self.noise
+            )
+            for sign in (-1, 1)
+        )
+        there, here = (cost._predicted(cost._views(offsets_s, hypothesis))[0][0] for cost in (after, before))
+        out: Array = (there - here) / (2e-9 * SLIGHT_NS)
+        return out
 
     def _fit(self, offsets_s: Array, hypothesis: int) -> MotionFit:
         views = self._views(offsets_s, hypothesis)

@@ -73,7 +73,8 @@ def clock_of(
         for tilt, heading in attitudes_deg
         for base_m, height in bases
     ]  # fmt: skip
-    found = search(Evidence(track, moments_ns, stamp_sigma_s, pairs, noises, log.shots_ns), stated)
+    age_sigma_s = config.gps.sigma_latency_s
+    found = search(Evidence(track, moments_ns, stamp_sigma_s, pairs, noises, log.shots_ns, age_sigma_s), stated)
     if isinstance(found, Unknown):
         raise InputError(f"clock: {found.reason}: by how much the camera's is off is not known. {ADVICE}{advice}")
     return found

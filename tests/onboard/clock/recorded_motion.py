@@ -43,8 +43,9 @@ def evidence(
     shots_s: Sequence[float] = (),
     camera: Camera = Camera(),
     seed: int = 0,
+    jitter_s: float = 0.0,
 ) -> Evidence:
-    """Pictures at these seconds of a recording, by a clock that is ahead of the log's."""
+    """Pictures at these seconds of a recording, by a clock that is ahead of the log's; `jitter_s` of each stamp."""
     log_path, truth_path = find_recording(recording)
     truth = RecordedTruth.read(truth_path)
     epoch_s = float(truth.unix_time_s[0])
@@ -53,7 +54,8 @@ def evidence(
     R_body_cam = mount_rotation(0.0, -90.0, 0.0) @ exp_so3(np.radians(camera.boresight_deg))
     poses = [trajectory.camera_pose(float(t), R_body_cam) for t in taken_s]
     rng = np.random.default_rng(seed)
-    stamps_ns = [round((epoch_s + t + ahead_s) * 1e9) for t in taken_s]
+    stamped_s = taken_s + jitter_s * rng.normal(size=len(taken_s))
+    stamps_ns = [round((epoch_s + t + ahead_s) * 1e9) for t in stamped_s]
     found = [
         (stamps, *seen)
         for *views, stamps in zip(poses, poses[1:], itertools.pairwise(stamps_ns), strict=False)
@@ -64,7 +66,7 @@ def evidence(
         *(np.array([each[i] for each in found]).reshape(-1, 4, 2) for i in (1, 2)),
     )
     shots_ns = [round((epoch_s + t) * 1e9) for t in shots_s]
-    return Evidence(log_track(read_tlog(log_path), CONFIG), stamps_ns, 0.03, pairs, [NOISE], shots_ns)
+    return Evidence(log_track(read_tlog(log_path), CONFIG), stamps_ns, 0.03, pairs, [NOISE], shots_ns, 0.1)
 
 
 def _seen(first: Pose, second: Pose, camera: Camera, rng: np.random.Generator) -> tuple[Array, Array] | None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import json
 import shutil
-from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +17,6 @@ from ground.__main__ import main as ground
 from ground.formats import table
 from ground.recording import Recording
 from onboard.__main__ import main
-from onboard.camera.file_stamps import stamp_from_name
 from onboard.camera.photo_metadata import read_photo
 from onboard.config.files import load_config_files
 from onboard.config.schema import parse_config
@@ -229,25 +227,6 @@ def test_pictures_named_by_utc_are_a_flight_with_the_log_and_the_camera_file_nex
     name, first_s = stamps[1].split(",")
     assert name == "2018080501004480Z.jpg" and len(stamps) == 19
     assert -0.4 < float(first_s) - 1533430844.8 < -0.1
-
-
-@pytest.mark.parametrize("ahead_s", rest_long([10.0, -300.0, -5.0, 1.0, 300.0]))
-def test_a_camera_s_clock_that_is_off_moves_no_picture(shared_data: Path, tmp_path: Path, ahead_s: float) -> None:
-    """10 s ahead put 22 clicks 89 to 103 m off with an ellipse of 11 m, and no word of it."""
-    real, folder = shared_data / "cmac_2018", tmp_path / "photos"
-    folder.mkdir()
-    for photo_ in sorted((real / "frames").iterdir()):
-        taken_ns = stamp_from_name(photo_.name)
-        assert taken_ns is not None
-        shown = datetime.fromtimestamp(taken_ns / 1e9 + ahead_s, UTC)
-        (folder / f"{shown:%Y%m%d%H%M%S}{shown.microsecond // 1000:03d}Z.jpg").symlink_to(photo_)
-    shutil.copyfile(real / "camera.json", folder / "camera.json")
-    words = ["--telemetry", str(real / "telemetry.tlog"), "--out", str(tmp_path / "flight")]
-    assert main(["import-photos", str(folder), *words]) == 0
-    stamps = (tmp_path / "flight" / "stamps.csv").read_text().splitlines()
-    assert float(stamps[1].split(",")[1]) == pytest.approx(1533430844.54, abs=0.1)
-    config = load_config_files(tmp_path / "flight" / "config.toml")
-    assert 0.03 < config.camera.sigma_latency_s < 0.1
 
 
 @pytest.mark.parametrize(
