@@ -23,9 +23,21 @@ SYSTEM_PYTHON = "/usr/bin/python3"  # Debian's, which has GStreamer's bindings
 ASK_S = 20.0  # GStreamer looks through all its plugins when it is asked for the first time
 HELPER = Path(__file__).with_name("gstreamer_helper.py")
 BOX = Path(__file__).with_name("box.py")
+NO_NETWORK = "--no-network"  # of box.py
 OF_THE_UNIT = ("STATE_DIRECTORY", "LOGS_DIRECTORY", "CONFIGURATION_DIRECTORY")
 """Variables in which systemd names the unit's own folders: recordings, keys, what was learned."""
 IN_SOFTWARE = {"avdec_h264", "avdec_h265", "avdec_mjpeg", "avdec_mpeg4", "jpegdec", "openh264dec"}
+LOCAL_SOURCES = {
+    "v4l2src",
+    "libcamerasrc",
+    "nvarguscamerasrc",
+    "nvv4l2camerasrc",
+    "videotestsrc",
+    "filesrc",
+    "multifilesrc",
+}
+_SOURCE = re.compile(r"\w+src\b")
+_OUTSIDE = re.compile(r"sink|uri|://|rtsp|rtmp|webrtc|whip|client|server", re.IGNORECASE)  # in a pipeline of one's own
 _SINK = re.compile(r"\w*sink\b")  # appsink, autovideosink, xvimagesink, fakesink, ...
 
 
@@ -78,8 +90,17 @@ def private_paths(config: Config, environment: Mapping[str, str]) -> tuple[str, 
 def gstreamer_launch(spec: dict[str, Any], name: str, closed: Sequence[str] = ()) -> Launch:
     """Our own helper with something to open; what is to be opened, which may hold a password, goes by its input."""
     environment = {"LIBCAMERA_LOG_LEVELS": "*:ERROR"}  # the last line printed is shown as the reason of an end
-    command = (SYSTEM_PYTHON, "-I", str(BOX), *closed, "--", SYSTEM_PYTHON, "-I", str(HELPER))
+    box = (str(BOX), *(() if needs_network(spec) else (NO_NETWORK,)), *closed)
+    command = (SYSTEM_PYTHON, "-I", *box, "--", SYSTEM_PYTHON, "-I", str(HELPER))
     return Launch(name, command, json.dumps(spec).encode(), environment, is_compressed=spec["kind"] != "libcamera")
+
+
+def needs_network(spec: Mapping[str, Any]) -> bool:
+    """Whether what is opened may come from the network, or go there: of a pipeline unless all of it is known not to."""
+    if spec["kind"] != "gst":
+        return bool(spec["kind"] == "rtsp")
+    sources = set(_SOURCE.findall(spec["pipeline"]))
+    return not sources or not sources <= LOCAL_SOURCES or _OUTSIDE.search(spec["pipeline"]) is not None
 
 
 def unable(launch: Launch) -> str:

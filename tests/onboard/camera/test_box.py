@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import socket
 import subprocess
 from pathlib import Path
 
@@ -21,10 +22,25 @@ for path in sys.argv[1:]:
     except OSError as error:
         print(type(error).__name__)
 """
+CONNECT = """
+import socket, sys
+for family, kind, place in (
+    (socket.AF_INET, socket.SOCK_STREAM, ("127.0.0.1", int(sys.argv[1]))),
+    (socket.AF_INET6, socket.SOCK_DGRAM, ("::1", 9)),
+    (socket.AF_UNIX, socket.SOCK_STREAM, sys.argv[2]),
+    (socket.AF_NETLINK, socket.SOCK_RAW, (0, 0)),
+):
+    try:
+        with socket.socket(family, kind) as one:
+            one.bind(place) if family == socket.AF_NETLINK else one.connect(place)
+        print("connected")
+    except OSError as error:
+        print(type(error).__name__)
+"""
 SECRET = "POINTCLICK_SECRET"
 
 
-def in_a_box(closed: list[Path], *command: object) -> subprocess.CompletedProcess[str]:
+def in_a_box(closed: list[Path | str], *command: object) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [SYSTEM_PYTHON, "-I", BOX, *closed, "--", *map(str, command)],
         env={**os.environ, SECRET: "hidden", "GST_DEBUG": "0"},
@@ -103,6 +119,50 @@ def test_keys_state_and_recordings_are_closed_to_our_helper(device: str) -> None
     at = launch.command.index("--")
     assert launch.command[:3] == (SYSTEM_PYTHON, "-I", str(BOX))
     assert launch.command[at:] == ("--", SYSTEM_PYTHON, "-I", str(HELPER))
-    assert set(launch.command[3:at]) == {
+    assert set(launch.command[3:at]) - {"--no-network"} == {
         "/srv/state", "/srv/kept", "/k/it.key", "/k/signing", "/var/lib/pointclick", "/etc/pointclick",
     }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [([], ["connected"] * 4), (["--no-network"], ["PermissionError", "PermissionError", "connected", "connected"])],
+)
+def test_a_decoder_that_needs_no_network_cannot_connect_to_it(
+    tmp_path: Path, words: list[Path | str], expected: list[str]
+) -> None:
+    """Nor what it starts; local sockets and the kernel's stay open."""
+    with socket.create_server(("127.0.0.1", 0)) as server, socket.socket(socket.AF_UNIX) as local:
+        local.bind(str(tmp_path / "a.sock"))
+        local.listen()
+        port, place = server.getsockname()[1], tmp_path / "a.sock"
+        tried = in_a_box(words, "sh", "-c", '"$@"', "sh", SYSTEM_PYTHON, "-c", CONNECT, port, place)
+    if not socket.has_ipv6 or not Path("/proc/net/if_inet6").exists():  # without it none can be connected to
+        expected = [*expected[:1], tried.stdout.split()[1], *expected[2:]]
+    assert tried.stdout.split() == expected, tried.stderr
+
+
+def test_rules_are_known_for_both_machines_and_for_no_other() -> None:
+    both = [box._filter(machine) for machine in ("x86_64", "aarch64")]
+    assert len(both[0]) == len(both[1]) == 8 * 11 and both[0] != both[1]
+    with pytest.raises(OSError, match="no rules for riscv64"):
+        box._filter("riscv64")
+
+
+@pytest.mark.parametrize(
+    ("device", "is_open"),
+    [
+        ("libcamera:", False),
+        ("gst:v4l2src device=/dev/video0 ! video/x-h264 ! h264parse ! avdec_h264", False),
+        ("gst:filesrc location=/a.mp4 ! qtdemux ! decodebin", False),
+        ("gst:udpsrc port=5600 caps=application/x-rtp ! rtph264depay ! avdec_h264", True),
+        ("gst:v4l2src ! tee name=t t. ! queue ! x264enc ! udpsink host=10.0.0.2 t. ! videoconvert", True),
+        ("gst:uridecodebin uri=http://cam/x", True),
+        ("gst:somethingelse ! decodebin", True),
+        ("rtsp://10.0.0.2/live", True),
+        ("udp://0.0.0.0:5600", True),
+    ],
+)
+def test_what_may_come_from_the_network_keeps_it(device: str, is_open: bool) -> None:
+    launch = helper_launch(CameraConfig(device=device), (640, 480))
+    assert launch is not None and ("--no-network" not in launch.command) is is_open
