@@ -8,7 +8,8 @@ come to lie in the next pictures, and the one that predicts them best is selecte
 Pictures that come rarely, of a camera that a gimbal holds level under a leaning aircraft, move nearly as with a fixed
 mount. But a window's solve with the wrong attitudes contradicts its positions: where the accepted hypothesis is
 refused, the window is solved again by every other, and one that alone fits, several keyframes in a row, is selected.
-What was seen meanwhile is kept: only the attitudes are exchanged.
+A selection that windows or tracks contradict afterwards is open again. What was seen meanwhile is kept: only the
+attitudes are exchanged.
 """
 
 from __future__ import annotations
@@ -40,6 +41,7 @@ MOST = 9.0  # largest cost that one picture adds
 MEMORY = 0.97  # decay of the cost per picture: about the last thirty count
 LEAD = 20.0  # by which the cost of one hypothesis must be below all others
 SAME_RAD = 0.05  # hypotheses this close need no decision
+REFUSALS = 3  # windows in a row that do not fit by the hypothesis that was selected
 WINS = 2  # solves in a row that only one other hypothesis fits
 
 
@@ -68,7 +70,7 @@ class MountSelection:
         self._trials: dict[MountHypothesis, Promise] = {}
         self._noise: dict[MountHypothesis, Noise] = {}  # as earlier windows have found it by each hypothesis
         self._leader: MountHypothesis | None = None  # of trials
-        self._wins = 0
+        self._wins = self._refused = 0
         self.verdict: MountHypothesis | None = None
 
     def is_open(self, nav: NavState) -> bool:
@@ -107,6 +109,23 @@ class MountSelection:
         if others and min(self._scores[c] for c in others) - self._scores[best] > LEAD:
             self.verdict = best
 
+    def contradicted(self, nav: NavState) -> None:
+        """Pictures contradict the hypothesis that was selected: where others differ from it at `nav`, open it again.
+
+        A gimbal may report the attitude of its power-up first, or none of its own: what was seen then decides nothing.
+        """
+        if self.verdict is not None and _differ(nav.mount_hypotheses.values()):
+            self.verdict = self._leader = None
+            self._wins = self._refused = 0
+            self._scores, self._noise = {}, {}
+
+    def _follow_refusals(self, outcome: Outcome) -> None:
+        """Windows in a row that do not fit by the selected hypothesis contradict it."""
+        is_refused = outcome.status is Status.POOR_FIT
+        self._refused = self._refused + 1 if is_refused else self._refused * (outcome.status is Status.STARTING)
+        if self._refused >= REFUSALS:
+            self.contradicted(outcome.keyframes[-1].nav)
+
     def begin_trials(self, window: Window, worker: Worker, navigation: Navigation) -> None:
         """Submit the newest request by the other hypotheses, if that is open and nothing is solved yet."""
         self._trials = {}
@@ -125,6 +144,7 @@ class MountSelection:
         """The outcome to continue with, and the processor time of trials. Where it is another hypothesis's, that one is
         accepted from now on, and window and records hold it.
         """
+        self._follow_refusals(outcome)
         done = {hypothesis: promise.result() for hypothesis, promise in self._trials.items()}
         self._trials = {}
         self._noise |= {hypothesis: each.outcome.noise for hypothesis, each in done.items()}

@@ -261,6 +261,7 @@ class Pipeline:
         if self._misses >= MAX_MISSES or (is_slow and self._overlap < MIN_OVERLAP):
             self._restart()  # which still adopts a window of before
             self._lens_doubt.lost(frame.stamp_ns, self._overlap)
+            self.mount_selection.contradicted(nav)  # by which the features were looked for
             self._make_keyframe(frame, nav, self.tracker.nothing(), reason)
         else:
             self._refuse(frame, reason)

@@ -101,6 +101,23 @@ def test_auto_finds_that_it_carries_the_camera() -> None:
     assert share > 0.7 and max(errors) < 2.0, (share, max(errors))
 
 
+def powered_up(events: Iterator[Event], until_s: float) -> Iterator[Event]:
+    """A gimbal that first reports its power-up attitude, level and ahead, whatever it really is."""
+    for event in events:
+        if isinstance(event, GimbalAttitude) and event.stamp_ns < EPOCH_NS + until_s * S:
+            event = replace(event, q_ref_gimbal=(1.0, 0.0, 0.0, 0.0))  # noqa: PLW2901
+        yield event
+
+
+def test_a_gimbal_that_first_reports_its_power_up_attitude_is_found_afterwards() -> None:
+    """By 8 s of it the camera was on a fixed mount for the whole flight, whatever pictures showed later."""
+    flight = survey(seconds=18.0)
+    found = simulated(flight, events=powered_up(flight.events(), 8.0))
+    assert found.pipeline.mount_selection.verdict is MountHypothesis.GIMBAL
+    late, errors = found.pictures_in(14.5, 18.0), found.errors_in(14.5, 18.0)
+    assert late[Status.OK] == late.total() > 0 and max(errors) < 2.0, (late, errors)
+
+
 def with_yaw_zero(events: Iterator[Event], zero_deg: float, drift_deg_s: float) -> Iterator[Event]:
     """A gimbal whose yaw counts from elsewhere than the nose, and wanders."""
     for event in events:
