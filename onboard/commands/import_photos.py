@@ -38,7 +38,7 @@ from onboard.commands.imported_flight import (
     system_of,
 )
 from onboard.config.schema import parse_config
-from onboard.replay.photo_telemetry import datum_sigma_m, gap_to_join_s, height_amsl, photo_telemetry
+from onboard.replay.photo_telemetry import datum_sigma_m, gap_to_join_s, height_amsl, photo_telemetry, side_lacking
 from onboard.replay.runner import check_overlap
 from onboard.telemetry.log_files import read_log
 from onboard.telemetry.telemetry_log import NS_PER_S, TelemetryLog
@@ -175,8 +175,8 @@ def _log(
         path = log_of(folder, arguments.folder)
     if path is None:
         raise InputError(
-            f"{folder}: no GPS position with a height in {photos[0].name} and the others, and no log next to "
-            f"them: give a log of the flight ({', '.join(LOG_SUFFIXES)})"
+            f"{folder}: no GPS position with a height in {photos[0].name}{side_lacking(photos[0])} and the others, and "
+            f"no log next to them: give a log of the flight ({', '.join(LOG_SUFFIXES)})"
         )
     log = read_log(path, home_amsl_m=arguments.home_amsl_m, system=system_of(settings_of(arguments.set)))
     return path, log if log.shots_ns else replace(log, shots_ns=shots_in_folder(folder))

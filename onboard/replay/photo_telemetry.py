@@ -29,10 +29,7 @@ def photo_telemetry(photos: list[PhotoMetadata], stamps_ns: list[int], undulatio
     without = [photo.name for photo in photos if photo.lat_deg is None or photo.height_amsl_m is None]
     if without:
         more = f" and {len(without) - 1} more" if len(without) > 1 else ""
-        sideless = any(photo.place_lacks_side for photo in photos if photo.name == without[0])
-        side = (
-            " (it lacks the letters N or S, E or W, without which it may be on any of four sides)" if sideless else ""
-        )
+        side = next(side_lacking(photo) for photo in photos if photo.name == without[0])
         raise InputError(
             f"telemetry exif: no GPS position with a height in {without[0]}{side}{more}; "
             "give a log of the flight instead (.bin, .tlog, .ulg, .srt, .csv)"
@@ -47,6 +44,12 @@ def photo_telemetry(photos: list[PhotoMetadata], stamps_ns: list[int], undulatio
         if photo.gimbal_deg is not None:
             events.append(GimbalAttitude(stamp_ns, quaternion(photo.gimbal_deg), "earth", is_of_camera=True))
     return replace(TelemetryLog.by_stamp(events), notes=_height_notes(photos, undulation_m))
+
+
+def side_lacking(photo: PhotoMetadata) -> str:
+    """Words for a position that cannot be used for want of its letters; empty where that is not why."""
+    words = " (it lacks the letters N or S, E or W, without which it may be on any of four sides)"
+    return words if photo.place_lacks_side else ""
 
 
 def _height_notes(photos: list[PhotoMetadata], undulation_m: float | None) -> tuple[str, ...]:

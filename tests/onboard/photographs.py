@@ -35,6 +35,7 @@ class Style:
 
     whole_seconds: bool = False
     gps: bool = True
+    sides: bool = True  # the letters N or S, E or W of a position in EXIF
     angles: bool = True  # in DJI's XMP
     focal: str = "design"  # "design" (XMP), "plane" (EXIF), "equivalent" (EXIF), "none"
     focal_error: float = 0.0
@@ -62,6 +63,9 @@ def write_photographs(session: Path, out: Path, style: Style, seed: int = 0) -> 
         details |= _lens(camera, style, attributes)
         if style.gps:
             exif._ifds[ExifTags.IFD.GPSInfo] = _gps(float(lat), float(lon), float(height))
+            if not style.sides:
+                for tag in (ExifTags.GPS.GPSLatitudeRef, ExifTags.GPS.GPSLongitudeRef):
+                    del exif._ifds[ExifTags.IFD.GPSInfo][tag]
         if style.gps_time_s is not None:
             moment = datetime.fromtimestamp(float(row["unix_time_s"]) + style.gps_time_s, UTC)
             exif._ifds[ExifTags.IFD.GPSInfo] |= {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import shutil
+import time
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
@@ -70,6 +71,29 @@ def test_a_camera_s_clock_that_is_off_is_found_to_its_sigma(
     is_whole = config.latency_s == -0.5
     assert float(stamps[1].split(",")[1]) + 0.5 * is_whole == pytest.approx(FIRST_S[name], abs=0.1)
     assert 0.005 < config.sigma_latency_s < (0.08 if is_whole else 0.03)
+
+
+@pytest.mark.long
+def test_a_thousand_photographs_cost_no_more_than_their_log(
+    shared_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Fifty minutes of them against an hour of positions without attitudes; 22 s of a processor."""
+    data, folder, table = shared_data / "caliterra", tmp_path / "photos", tmp_path / "log.csv"
+    frames, begin_s = sorted((data / "frames").iterdir()), FIRST_S["caliterra"]
+    folder.mkdir()
+    for k in range(1000):
+        shown = datetime.fromtimestamp(begin_s + 3.0 * k + 4.0, UTC)
+        (folder / f"{shown:%Y%m%d%H%M%S}000Z.jpg").symlink_to(frames[k % len(frames)])
+    shutil.copyfile(data / "camera.json", folder / "camera.json")
+    lines = ["unix_time_s,lat_deg,lon_deg,height_amsl_m"]
+    for t in range(-60, 3660):
+        north_m = 500.0 * np.sin(t / 40.0)
+        lines.append(f"{begin_s + t:.1f},{30.17 + north_m / 111_320.0:.8f},{-98.09 + 3e-6 * t:.8f},364")
+    table.write_text("\n".join(lines))
+    since_s = time.process_time()
+    assert main(["import-photos", str(folder), "--telemetry", str(table), "--out", str(tmp_path / "flight")]) == 2
+    assert time.process_time() - since_s < 120.0
+    assert "error: clock: " in capsys.readouterr().err  # these pictures are not of that log
 
 
 def clicked(data: Path, folder: Path, ahead_s: float, capsys: pytest.CaptureFixture[str]) -> Clicks:

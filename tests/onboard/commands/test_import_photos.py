@@ -406,6 +406,20 @@ def test_a_place_without_letters_is_no_place(shared_data: Path, tmp_path: Path) 
     assert (one.lat_deg, one.lon_deg) == (None, None) and one.place_lacks_side
 
 
+def test_photographs_without_letters_are_where_the_log_has_them_or_refused(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_photographs(session, tmp_path / "photos", Style(angles=False, focal="plane", sides=False))
+    command = ["import-photos", str(tmp_path / "photos"), "--out", str(tmp_path / "flight")]
+    assert main(command) == 2
+    err = capsys.readouterr().err
+    assert "it lacks the letters N or S, E or W" in err and "no log next to them: give a log" in err
+    shutil.copyfile(session / "telemetry.tlog", tmp_path / "photos" / "flight.tlog")
+    assert main([*command, "--clock-offset", "0"]) == 0
+    outcome = replayed(session, tmp_path / "flight", capsys)
+    assert outcome.solved >= 0.8 and outcome.inside_99 >= 0.97, outcome.reported
+
+
 def test_a_receiver_s_time_in_exif_is_read(shared_data: Path) -> None:
     read = read_photo(shared_data / "people_bring" / "gpstime.jpg")
     assert read.gps_ns is not None and read.stamp_ns is not None and read.lat_deg == pytest.approx(-33.8667, abs=1e-3)
