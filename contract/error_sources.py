@@ -94,7 +94,7 @@ ABOUT: Mapping[Cause, About] = {
         "GPS, correlated",
         "the GPS",
         "click the same thing again minutes later",
-        ", or use an RTK or SBAS receiver",
+        ", or set gps.sigma_correlated_horizontal_m if positions are known to be better than that",
     ),
     Cause.GPS_WHITE: About(
         "GPS, white",

@@ -2,7 +2,8 @@
 
 Fed that way a serial line costs little and survives being unplugged, neither of which holds for mavsdk's own serial
 connection. Messages come through `mavlink_direct`, whole and with the autopilot's own stamps, one callback each on a
-thread of mavsdk's; heartbeats it sends itself.
+thread of mavsdk's. Heartbeats it sends itself, each second: most are kept from the wire, for an autopilot passes them
+on to every radio.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from onboard.config.schema import Config
 from onboard.events.session_clock import SessionClock
 from onboard.telemetry.mavlink_events import WANTED
 from onboard.telemetry.mavlink_framing import Framer
+from onboard.telemetry.timesync import SELDOM_NS
 from onboard.telemetry.transports import Wire
 from onboard.telemetry.vehicle_choice import is_autopilot
 
@@ -35,6 +37,7 @@ NAMES = sorted(
 )
 CLASSES = {kind.msgname: kind for kind in mavlink.mavlink_map.values()}
 MAX_WAITING = 5000
+HEARTBEAT_BYTES = {0xFE: (17, 5), 0xFD: (21, 7)}  # by MAVLink's version: of a whole message, and where its number is
 
 
 class MavsdkEnd:
@@ -55,11 +58,12 @@ class MavsdkEnd:
         self._lock = threading.Lock()
         self._wire: Wire | None = None
         self._broken: OSError | None = None
+        self._beat_ns: int | None = None  # when mavsdk's last heartbeat went out
 
     def attach(self, wire: Wire) -> None:
         """From now on both directions run over this wire."""
         with self._lock:
-            self._wire, self._broken = wire, None
+            self._wire, self._broken, self._beat_ns = wire, None, None
         self._finder = Framer(mavlink.MAVLink(None))
 
     def take(self, data: bytes, now_ns: int) -> list[tuple[int, Any]]:
@@ -145,12 +149,23 @@ class MavsdkEnd:
     def _write(self, data: bytes) -> None:
         """On mavsdk's thread."""
         with self._lock:
-            if self._wire is None or self._broken is not None:
+            if self._wire is None or self._broken is not None or self._is_needless(data):
                 return
             try:
                 self._wire.write(data)
             except OSError as error:
                 self._broken = error
+
+    def _is_needless(self, data: bytes) -> bool:
+        """Whether this is a heartbeat before the next one is due."""
+        size, at = HEARTBEAT_BYTES.get(data[0], (0, 0)) if data else (0, 0)
+        if len(data) != size or any(data[at : at + (1 if data[0] == 0xFE else 3)]):
+            return False
+        now_ns = self._clock.now_ns()
+        if self._beat_ns is not None and now_ns - self._beat_ns < SELDOM_NS:
+            return True
+        self._beat_ns = now_ns
+        return False
 
 
 def from_json(name: str, system: int, component: int, text: str) -> Any | None:

@@ -27,3 +27,8 @@ def test_every_cause_has_words_and_a_code_that_a_status_takes() -> None:
     assert len({about.name for about in ABOUT.values()}) == len(Cause)
     for code in Cause:
         assert len(code) <= MAX_CODE and code.isalnum()
+
+
+def test_no_receiver_is_advised_where_the_positions_are_a_filter_s() -> None:
+    """A recorded filter is 2 to 4 m off beside a receiver that reports RTK and 0.3 m."""
+    assert not any(word in ABOUT[Cause.GPS_SLOW].in_full for word in ("RTK", "receiver"))
