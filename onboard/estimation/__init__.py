@@ -7,7 +7,8 @@ Public:
 - `clock_profile`: `ClockProfile`, `clock_profile`, `offsets_about`
 - `error_budget`: the sources' names, `sources`
 - `ground_roughness`: `plane_and_roughness`
-- `keyframe`: `Ids`, `Keyframe`, `Observation`, `observation`, `seen_with`, `stamp_sigma_s`, `turned`
+- `keyframe`: `Ids`, `Keyframe`, `Observation`, `observation`, `seen_with`, `stamp_sigma_s`,
+  `turned`, `with_attitude`
 - `moved_optics`: `MOVED`
 - `platform_states`: `QUANTITIES`, `present`, `BORESIGHT`, `OFFSET`, `DELAY`, the sources' names
 - `reobservation`: `RelativeVariance`

@@ -16,6 +16,7 @@ from onboard.navigation.position_interpolation import Displacement
 
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +97,12 @@ def stamp_sigma_s(keyframes: Sequence[Keyframe]) -> float:
 
 def have_attitude(keyframes: Sequence[Keyframe]) -> bool:
     """Whether the autopilot gave an attitude to every one."""
-    return all(k.nav.R_enu_body is not None for k in keyframes)
+    return bool(with_attitude(keyframes).all())
+
+
+def with_attitude(keyframes: Sequence[Keyframe]) -> Mask:
+    """To which of them (K,) the autopilot gave an attitude."""
+    return np.array([k.nav.R_enu_body is not None for k in keyframes], bool)
 
 
 def turned(keyframes: Sequence[Keyframe], R_cam_enu: Iterable[Array]) -> tuple[Keyframe, ...]:

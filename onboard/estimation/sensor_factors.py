@@ -28,7 +28,7 @@ from onboard.estimation.factors import (
     whitener_of,
 )
 from onboard.estimation.ground_slope import NO_SLOPE_PRIOR, SlopePrior
-from onboard.estimation.keyframe import Keyframe, have_attitude
+from onboard.estimation.keyframe import Keyframe, with_attitude
 from onboard.estimation.platform_states import DELAY, VELOCITY_DELAY
 from onboard.estimation.sensor_table import BY_NAME, POSITION, declared
 from onboard.estimation.variance_components import VarianceFactors
@@ -45,6 +45,7 @@ PATH_SIGMA_RAD = 0.25
 PATH_WHITE_SIGMA_RAD = 0.15
 GRAVITY_M_S2 = 9.81
 UNKNOWN_M = 1e5  # one sigma of a displacement of which nothing is known
+UNKNOWN_RAD = 1e3  # and of an attitude
 TERRAIN_SLOPE_SIGMA = 0.005  # of an elevation model over a window's few hundred metres: neighbours are off together
 
 
@@ -257,10 +258,14 @@ def between_covariance(displacement: Sequence[Displacement | None]) -> Array:
 
 
 def _attitude(m: Sensors) -> list[Prior]:
-    """The autopilot's, (5.7), or where that gives none what the path shows of it, (5.10)."""
+    """The autopilot's, (5.7), or where no keyframe has any what the path shows of it, (5.10).
+
+    A keyframe in a gap of the attitudes shows nothing; those about it do.
+    """
     config, keyframes, stamps = m.config, m.keyframes, m.stamps_s
     offsets = np.array([k.nav_offset_s for k in keyframes])
-    if not have_attitude(keyframes):
+    known = with_attitude(keyframes)
+    if not known.any():
         R_enu_cam = coordinated_turn(m.R_body_cam, keyframes)
         if R_enu_cam is None:
             return []
@@ -268,11 +273,12 @@ def _attitude(m: Sensors) -> list[Prior]:
         whitener = gauss_markov_sqrt_information(stamps, PATH_WHITE_SIGMA_RAD, sigma[:, None, None], time_s)
         still, persistent = np.zeros((len(stamps), 3)), persistent_sigma(stamps, sigma, time_s)
         return [AttitudePrior(m.layout, R_enu_cam, still, whitener, offsets, persistent)]
-    R_enu_body = np.stack([k.nav.R_enu_body for k in keyframes if k.nav.R_enu_body is not None])
+    R_cam_body = m.R_body_cam.T
+    R_enu_body = np.stack([k.R_cam_enu.T @ R_cam_body if (R := k.nav.R_enu_body) is None else R for k in keyframes])
     R_enu_cam = R_enu_body @ m.R_body_cam
     rates = np.stack([k.body_rate_rad_s for k in keyframes]) @ m.R_body_cam
     turning = np.einsum("kij,kj->ki", R_enu_cam, rates)
-    between = np.array([k.nav.attitude_sigma_rad for k in keyframes])
+    between = np.where(known, [k.nav.attitude_sigma_rad for k in keyframes], UNKNOWN_RAD)
     # A gimbal's yaw that counts from nowhere is off by one angle, a state of each window. (5.18)
     zero = np.array([k.nav.yaw_sigma_rad for k in keyframes])
     fixed = _independent(between[:, None] ** 2 + (m.jitter_s * turning) ** 2)
@@ -282,7 +288,7 @@ def _attitude(m: Sensors) -> list[Prior]:
     white = [declared(config, BY_NAME[name].white) ** 2 * np.eye(len(stamps)) for name in AttitudePrior.sensors]
     whitener, parts = m.errors(AttitudePrior.sensors, slow, white, fixed)
     persistent = persistent_sigma(stamps, attitude_sigma_rad(config, m.factors), time_s)
-    persistent = np.hypot(persistent, [0.0, 0.0, zero.mean()])
+    persistent = np.hypot(persistent, [0.0, 0.0, zero[known].mean()])
     by_heading = cosine_sine_of_heading(R_enu_body)
     return [AttitudePrior(m.layout, R_enu_cam, rates, whitener, offsets, persistent, parts, by_heading)]
 

@@ -23,7 +23,7 @@ from onboard.estimation.factors import RATES
 from onboard.estimation.ground_slope import GroundSlope, SlopeSeen, seen_alone
 from onboard.estimation.ground_variogram import slope_variance
 from onboard.estimation.information import Information, with_marginal
-from onboard.estimation.keyframe import Keyframe, Observation, have_attitude, seen_with, stamp_sigma_s
+from onboard.estimation.keyframe import Keyframe, Observation, seen_with, stamp_sigma_s, with_attitude
 from onboard.estimation.moved_optics import MOVED
 from onboard.estimation.platform_states import DELAY, OFFSET, STATES
 from onboard.estimation.second_start import by_attitude
@@ -284,7 +284,7 @@ class Window:
 
     def learn(self, solved: Solved, clock: ClockProfile | None = None) -> None:
         """Offer a solved window's boresight and time offset as a posterior update."""
-        if not have_attitude(self.keyframes) or stamp_sigma_s(self.keyframes):
+        if not with_attitude(self.keyframes).any() or stamp_sigma_s(self.keyframes):
             return
         mean, shared = solved.solution.state.platform, solved.layout.platform
         start, end = self.keyframes[0].nav.stamp_ns, self.keyframes[-1].nav.stamp_ns

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from onboard.config.schema import Config
 from onboard.estimation.bundle_adjustment import Solution
 from onboard.estimation.factors import AttitudePrior, Layout, Prior, SharedPrior, State
-from onboard.estimation.keyframe import Keyframe, have_attitude
+from onboard.estimation.keyframe import Keyframe, with_attitude
 from onboard.estimation.platform_states import PLANE, STATES
 from onboard.estimation.reobservation import Agreement, RelativeVariance, agreement
 from onboard.estimation.sensor_factors import between_covariance, velocity_sigma_m_s
@@ -108,7 +108,7 @@ def by_itself(
         rms = float(np.sqrt(np.mean(r * r)))
         if rms > MAX_PRIOR_SIGMAS:
             what = f"{type(prior).__name__.removesuffix('Prior').lower()} contradicts the pictures"
-            if isinstance(prior, AttitudePrior) and not have_attitude(keyframes):
+            if isinstance(prior, AttitudePrior) and not with_attitude(keyframes).any():
                 what = "no aircraft flies this path so tilted"
             return f"{what}: {rms:.1f} sigmas rms"
     return _by_terrain(config, terrain, s, good) or _by_distance(config, keyframes, s, layout)

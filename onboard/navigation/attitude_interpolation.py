@@ -55,7 +55,7 @@ class Attitudes(Series[Orientation]):
     def sigma_at(self, moment_ns: int) -> float:
         """One sigma (rad) of what `at` may be off by because attitudes come more slowly than the vehicle turns. (1.7)
 
-        Without rates the neighbouring intervals determine it.
+        Without rates the neighbouring intervals determine it, of the newest those before it.
         """
         bracket = self.bracket(moment_ns)
         if bracket is None:
@@ -67,9 +67,21 @@ class Attitudes(Series[Orientation]):
         missed = np.zeros(3)
         if a.rate_body_rad_s is not None and rate_end is not None:
             missed = turn - 0.5 * seconds * (a.rate_body_rad_s + rate_end)
-        elif left > 0 and right + 1 < len(self.values):
-            missed = 0.25 * seconds * (self._mean_rate(right, right + 1) - self._mean_rate(left - 1, left))
+        elif left < right:
+            missed = 0.5 * seconds * self._rate_change(left, right)
         return float(2.0 * s * (1.0 - s) * np.linalg.norm(missed))
+
+    def _rate_change(self, left: int, right: int) -> Array:
+        """How the mean rate (3,), rad/s, changes from interval to interval about one: by its two neighbours.
+
+        By the larger of the last two changes where the next interval has not come yet.
+        """
+        is_newest = right + 1 == len(self.values)
+        first, last = max(left - 1 - is_newest, 0), min(right + 1, len(self.values) - 1)
+        rates = np.array([self._mean_rate(i, i + 1) for i in range(first, last)])
+        changes = np.diff(rates, axis=0) if len(rates) > 1 else np.zeros((1, 3))
+        out: Array = changes[np.linalg.norm(changes, axis=1).argmax()] if is_newest else changes.mean(axis=0)
+        return out
 
     def _mean_rate(self, left: int, right: int) -> Array:
         """(3,) rad/s between two attitudes."""

@@ -75,6 +75,10 @@ class Gimbal:
             R_ned_ref = matrix_from_euler(0.0, 0.0, np.arctan2(R_ned_ref[1, 0], R_ned_ref[0, 0]))
         return R_ned_ref @ R_ref_gimbal @ self._R_body_gimbal.T
 
+    def sigma_at(self, moment_ns: int, hypothesis: MountHypothesis) -> float:
+        """One sigma (rad) of what `at` may be off by between the messages that it is made of. (1.7)"""
+        return float(np.hypot.reduce([held.sigma_at(moment_ns) for held in self.needed(hypothesis)]))
+
     def open_at(self, moment_ns: int) -> dict[MountHypothesis, Array]:
         """`at` by every hypothesis while the pictures must determine which is true, the mount first; else nothing."""
         if self._setting != "auto" or self._is_of_camera or not (self.attitudes.stamps_ns and self._vehicle.stamps_ns):

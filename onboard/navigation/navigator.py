@@ -32,7 +32,7 @@ from onboard.events.types import (
 from onboard.navigation.attitude_interpolation import Attitudes, Orientation
 from onboard.navigation.gimbal import Gimbal, MountHypothesis
 from onboard.navigation.gps_integrity import GpsIntegrity, Refusal
-from onboard.navigation.limits import PATIENCE_NS, RECENT_NS
+from onboard.navigation.limits import LATE_NS, PATIENCE_NS, RECENT_NS
 from onboard.navigation.position_interpolation import Displacement, Joined, Position
 from onboard.navigation.time_series import Series
 
@@ -54,12 +54,13 @@ class GroundRange:
 class NavState:
     """The vehicle at one exposure. Position and velocity in `Navigation.frame`, attitude in ENU axes at the vehicle.
 
-    `velocity_enu_m_s` and `R_enu_body` are None where the log has none; `R_enu_body` also where `solve.attitude` is
-    "none". The sigmas are the receiver's claim for the Gauss-Markov error, bounded below by the configuration, and
-    jumps that nothing has explained; `sigma_white_m` is the dispersion of positions about their own velocity, bounded
-    likewise. `mount_hypotheses` holds R_enu_body by every mount hypothesis while more than one is possible. States of
-    different `stretch` must not be compared: the position jumped, or the frame moved, between them. `stamp_sigma_s`:
-    one sigma of the time it was asked for, beyond the time offset's own, common to all states that have it.
+    `velocity_enu_m_s` and `R_enu_body` are None where the log has none, or none near enough; `R_enu_body` also where
+    `solve.attitude` is "none". The sigmas are the receiver's claim for the Gauss-Markov error, bounded below by the
+    configuration, and jumps that nothing has explained; `sigma_white_m` is the dispersion of positions about their own
+    velocity, bounded likewise. `mount_hypotheses` holds R_enu_body by every mount hypothesis while more than one is
+    possible. States of different `stretch` must not be compared: the position jumped, or the frame moved, between them.
+    `stamp_sigma_s`: one sigma of the time it was asked for, beyond the time offset's own, common to all states that
+    have it.
     """
 
     stamp_ns: int
@@ -195,10 +196,15 @@ class Navigation:
     def covers(self, stamp_ns: int, delay_ns: int = 0) -> bool:
         """Whether `state_at` can do no better by waiting: data after this moment has arrived.
 
-        Attitude counts if the configuration uses it and any has been seen.
+        Attitude counts if the configuration uses it and any has been seen; none is waited for that would come so late
+        that nothing could be joined with it.
         """
+        positions = self._integrity.positions
+        if not positions.covers(stamp_ns + delay_ns):
+            return False
+        received_ns = positions.stamps_ns[-1] - LATE_NS
         needed = self.gimbal.needed(self._mount) if any(self.received) else []
-        return self._integrity.positions.covers(stamp_ns + delay_ns) and all(held.covers(stamp_ns) for held in needed)
+        return all(held.covers(stamp_ns) or held.has_gap(stamp_ns, received_ns) for held in needed)
 
     @property
     def behind_ns(self) -> int:
@@ -246,7 +252,8 @@ class Navigation:
 
         Position and velocity are looked up `delay_s` later: they are older than their stamps.
 
-        STARTING before the first data, UNSYNCHRONISED in a gap or past the end, NO_GPS where GPS is not accepted.
+        STARTING before the first data, UNSYNCHRONISED in a gap of the positions or past their end, NO_GPS where GPS is
+        not accepted. In a gap of the attitudes the state has none: those about it have, and pictures join them.
         """
         moment_ns = stamp_ns + round(offset_s * 1e9)
         place_ns, positions = moment_ns + round(delay_s * 1e9), self._integrity.positions
@@ -261,10 +268,9 @@ class Navigation:
         R_enu_body, mount_hypotheses = None, {}
         if any(self.received):
             R_ned_body, R_frame_ned = self.gimbal.at(moment_ns, self._mount), self._R_frame_ned(position.enu_m)
-            if isinstance(R_ned_body, Status):
-                return R_ned_body
-            R_enu_body = R_frame_ned @ R_ned_body
-            mount_hypotheses = {h: R_frame_ned @ R for h, R in self.gimbal.open_at(moment_ns).items()}
+            if not isinstance(R_ned_body, Status):
+                R_enu_body = R_frame_ned @ R_ned_body
+                mount_hypotheses = {h: R_frame_ned @ R for h, R in self.gimbal.open_at(moment_ns).items()}
         return NavState(
             stamp_ns,
             position.enu_m,
@@ -279,7 +285,7 @@ class Navigation:
             self._moves + self._integrity.jumps.stretch_at(moment_ns),
             stamp_sigma_s,
             self._integrity.datum_sigma_m(moment_ns),
-            0.0 if R_enu_body is None or self._uses_gimbal else self._attitudes.sigma_at(moment_ns),
+            0.0 if R_enu_body is None else self.gimbal.sigma_at(moment_ns, self._mount),
             0.0 if R_enu_body is None or not self._uses_gimbal else self._yaw_sigma_rad,
             self._integrity.velocity_claim_m_s(moment_ns),
             positions.joined_at(place_ns),

@@ -40,6 +40,11 @@ class Series(Generic[T]):
         """Whether there is a value before a moment, and one after it."""
         return bool(self.stamps_ns) and self.stamps_ns[0] <= moment_ns <= self.stamps_ns[-1]
 
+    def has_gap(self, moment_ns: int, received_ns: int) -> bool:
+        """Whether a moment is past the end, and all that comes after `received_ns` too late to be joined with it."""
+        end_ns = self.stamps_ns[-1] if self.stamps_ns else received_ns
+        return moment_ns > end_ns and received_ns - end_ns > self.max_gap_s * 1e9
+
     def bracket(self, moment_ns: int) -> tuple[int, int] | None:
         """Indices of the neighbours of a moment; both the same at an end that is near enough to extrapolate from."""
         right = bisect.bisect_left(self.stamps_ns, moment_ns)

@@ -12,7 +12,7 @@ import numpy as np
 
 from contract.feature_set import Status
 from onboard.estimation.clock_profile import ClockProfile, clock_profile, offsets_about
-from onboard.estimation.keyframe import Keyframe, stamp_sigma_s
+from onboard.estimation.keyframe import Keyframe, stamp_sigma_s, with_attitude
 from onboard.estimation.platform_states import OFFSET
 from onboard.estimation.sliding_window import Window
 from onboard.estimation.window_request import Outcome
@@ -38,9 +38,12 @@ def wants_keyframe(tracks: Tracks, size_px: tuple[int, int]) -> bool:
 def look_up_again(window: Window, navigation: Navigation) -> None:
     """Replace the navigation of the window's keyframes, all of them or, where one has none any more, none."""
     offset_s, delay_s = window.times_s()
-    if all(
-        abs(k.nav_offset_s - offset_s) <= LEAST_OFFSET_S and abs(k.nav_delay_s - delay_s) <= LEAST_DELAY_S
-        for k in window.keyframes
+    if (
+        all(
+            abs(k.nav_offset_s - offset_s) <= LEAST_OFFSET_S and abs(k.nav_delay_s - delay_s) <= LEAST_DELAY_S
+            for k in window.keyframes
+        )
+        or not with_attitude(window.keyframes).any()
     ):
         return
     offset_ns = round(offset_s * 1e9)
@@ -49,8 +52,9 @@ def look_up_again(window: Window, navigation: Navigation) -> None:
     for k in window.keyframes:
         nav = navigation.state_at(k.nav.stamp_ns, offset_s, k.nav.stamp_sigma_s, delay_s)
         rate = navigation.body_rate_at(k.nav.stamp_ns + offset_ns)
-        if isinstance(nav, Status) or nav.stretch != k.nav.stretch or rate is None:
+        if isinstance(nav, Status) or nav.stretch != k.nav.stretch or (rate is None and nav.R_enu_body is not None):
             return
+        rate = k.body_rate_rad_s if rate is None else rate
         displacement = None
         if found and k.displacement is not None:
             displacement = navigation.displacement(found[-1].nav.stamp_ns + offset_ns, k.nav.stamp_ns + offset_ns)

@@ -31,6 +31,7 @@ from onboard.geometry.plane_homography import move
 from onboard.geometry.robust import middle
 from onboard.georeferencing.feature_sets import Origin, Picture
 from onboard.georeferencing.surface_sets import over_known_ground
+from onboard.navigation.limits import LIKELY_SIGMAS
 from onboard.navigation.navigator import Navigation, NavState
 from onboard.pipeline.estimates import found_in_flight
 from onboard.pipeline.frozen_frames import Staleness, Stillness
@@ -300,10 +301,16 @@ class Pipeline:
         return tracks
 
     def _predict(self, nav: NavState) -> Array | None:
-        """Motion since the newest keyframe, both moments looked up with one and the same time offset."""
+        """Motion since the newest keyframe, both moments looked up with one and the same time offset.
+
+        None where attitudes come so rarely that a picture would be refused for what they miss.
+        """
         if not self.window.keyframes:
             return None
         last = self.window.keyframes[-1]
+        missed_rad = np.hypot(last.nav.attitude_sigma_rad, nav.attitude_sigma_rad)
+        if LIKELY_SIGMAS * missed_rad > MAX_PREDICTION_MISS:
+            return None
         was = last.nav if last.nav_offset_s == self._offset_s else self._state_at(last.nav.stamp_ns)
         return predict_motion(self.window, self.navigation, last.nav if isinstance(was, Status) else was, nav)
 

@@ -241,7 +241,6 @@ class RunStatistics:
         where = f"between {count} of {pairs} pairs of pictures"
         usual_s, most_s = np.median(self._apart_s or [0.0]), MEMORY_NS / 1e9 / self._config.solve.keyframes
         fault = f" ({self.position_fault})" if self.position_fault else ""
-        gap_s, attitude_gap_s = self._config.gps.max_gap_s, self._config.telemetry.max_attitude_gap_s
         reasons: dict[Status | Break, str] = {
             Break.APART: f"pictures {usual_s:.1f} s apart, at most {most_s:.1f}",
             Break.OUTAGE: f"GPS was lost or doubted {where}",
@@ -249,8 +248,8 @@ class RunStatistics:
             Break.STAMPS: f"the stamps' own error changed {count} times",
             Status.BAD_PICTURE: f"{count} pictures are damaged or repeat an earlier one",
             Status.NO_GPS: f"no accepted position for {count} pictures{fault}",
-            Status.UNSYNCHRONISED: f"telemetry gap: no position within {gap_s:g} s or no attitude within "
-            f"{attitude_gap_s:g} s about {count} pictures",
+            Status.UNSYNCHRONISED: f"telemetry gap: no position within {self._config.gps.max_gap_s:g} s about {count} "
+            "pictures",
             Status.FEATURELESS: f"nothing to follow on {count} pictures",
             Status.TURNING: f"turning too fast to follow the ground on {count} pictures",
             Status.REPETITIVE: f"the ground repeats itself (rows, tiles) on {count} pictures: a match may be a row off",

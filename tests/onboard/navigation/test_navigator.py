@@ -223,14 +223,27 @@ def test_a_telemetry_gap_is_unsynchronised_and_recovers() -> None:
     assert isinstance(navigation.state_at(ns(15.0)), NavState)
 
 
-def test_an_attitude_gap_is_unsynchronised() -> None:
+def test_a_state_in_a_gap_of_the_attitudes_has_none() -> None:
     navigation = Navigation(PLAIN)
     for t in np.arange(0.0, 30.0, 0.2):
         navigation.add(fix(t))
         if not 10.0 < t < 12.0:
             navigation.add(attitude(t))
-    assert navigation.state_at(ns(11.0)) is Status.UNSYNCHRONISED
-    assert isinstance(navigation.state_at(ns(13.0)), NavState)
+    assert state(navigation, 11.0).R_enu_body is None
+    assert state(navigation, 13.0).R_enu_body is not None
+
+
+def test_attitudes_that_would_come_too_late_are_not_waited_for() -> None:
+    navigation = Navigation(PLAIN)
+    for t in np.arange(0.0, 11.1, 0.2):
+        navigation.add(fix(t))
+        if t < 9.9:
+            navigation.add(attitude(t))
+    assert not navigation.covers(ns(10.5))
+    for t in (11.2, 11.4):  # `max_attitude_gap_s` and what a message may be late behind
+        navigation.add(fix(t))
+    assert navigation.covers(ns(10.5))
+    assert not navigation.covers(ns(11.5))
 
 
 def test_a_lost_fix_refuses_until_a_second_after_it_is_back() -> None:
