@@ -100,6 +100,8 @@ class MountSelection:
         if not _differ(attitudes.values()):
             return
         both = [c for c in attitudes if c in was.mount_hypotheses]
+        if not both:  # the keyframe lies in a gap of the attitudes
+            return
         for hypothesis in both:
             poses = [Pose((n.mount_hypotheses[hypothesis] @ self._R_body_cam).T, n.position_enu_m) for n in (was, now)]
             cost = cost_of(self.camera, poses, plane, from_px, to_px)
