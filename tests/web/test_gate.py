@@ -6,6 +6,7 @@ import http.client
 import logging
 import os
 import resource
+import shlex
 import socket
 import subprocess
 import sys
@@ -54,11 +55,12 @@ def test_a_thousand_half_open_connections_leave_the_page_answering(simulated: Si
         pytest.fail(f"this test opens {HALF_OPEN} connections, and the limit of descriptors is {hard}")
     resource.setrlimit(resource.RLIMIT_NOFILE, (3000, hard))
     log = tmp_path / "log.txt"
-    command = f"ulimit -n 1024; exec {sys.executable} -m ground web --port 0 --token {TOKEN} --from {simulated.path}"
+    arguments = "web", "--port", "0", "--token", TOKEN, "--from", simulated.path, "--pins", tmp_path / "pins.sqlite"
+    command = shlex.join(map(str, (sys.executable, "-m", "ground", *arguments)))
     with log.open("wb") as out, Held() as held:
         environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
         server = subprocess.Popen(
-            ["bash", "-c", f"{command} --pins {tmp_path / 'pins.sqlite'}"],
+            ["bash", "-c", f"ulimit -n 1024; exec {command}"],
             stdout=out, stderr=subprocess.STDOUT, cwd=ROOT, env=environment,
         )  # fmt: skip
         try:
