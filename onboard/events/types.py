@@ -83,7 +83,6 @@ class FilterStatus:
     is_glitching: bool  # the filter calls the GPS a glitch
     is_at_rest: bool = False  # it holds the position constant, believing position and velocity: standing on the ground
     sigma_velocity_m_s: float | None = None  # of its velocity, the larger of horizontal and vertical, where it has one
-    rejects_gps: bool = False  # by its own test of this moment, which it reports next to what it remembers as a glitch
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from onboard.config.schema import Config
 from onboard.events.types import FilterStatus, GpsQuality, PositionFix
-from onboard.navigation.limits import LIKELY_SIGMAS, LONG_NS, MEMORY_NS, RECENT_NS
+from onboard.navigation.limits import LIKELY_SIGMAS, LONG_NS, RECENT_NS
 from onboard.navigation.position_interpolation import Path, Position
 from onboard.navigation.position_jumps import PositionJumps
 from onboard.navigation.position_slip import slip_at
@@ -159,16 +159,10 @@ class GpsIntegrity:
     def _filter_fault(self, moment_ns: int) -> str:
         """The autopilot's filter accepts its position and its GPS, and has since `recovery_s` ago; or never reported.
 
-        A bad report stands until a good one comes; a glitch for which the filter rejected its GPS, at most until it has
-        fused it again since `settle_s`: ArduPilot calls it one for ten seconds more.
+        A bad report stands until a good one comes.
         """
         reports = self._reports(self.filter, moment_ns, round(self._gps.recovery_s * 1e9))
         if all(s.has_position and not s.is_glitching for s in reports):
-            return ""
-        newest = self._reports(self.filter, moment_ns, round(self._gps.settle_s * 1e9))
-        since = itertools.dropwhile(lambda s: not s.is_glitching, reversed(self.filter.latest(moment_ns, MEMORY_NS)))
-        held = itertools.takewhile(lambda s: s.is_glitching, since)
-        if all(s.has_position and not s.rejects_gps for s in newest) and any(s.rejects_gps for s in held):
             return ""
         if not reports[-1].has_position:
             return Refusal.NO_ABSOLUTE_POSITION

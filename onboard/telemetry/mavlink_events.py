@@ -223,8 +223,7 @@ def _filter_status(message: Any, stamp_ns: int) -> FilterStatus:
     is_at_rest = is_held and not is_ardupilot and flags & AT_REST == AT_REST
     if (is_held and not is_at_rest) or (is_ardupilot and flags & mavlink.EKF_UNINITIALIZED):
         has_position = False
-    rejects_gps = is_ardupilot and message.pos_horiz_variance >= 1.0  # a test ratio, whatever its name
-    return FilterStatus(stamp_ns, has_position, bool(flags & glitch), is_at_rest, rejects_gps=rejects_gps)
+    return FilterStatus(stamp_ns, has_position, bool(flags & glitch), is_at_rest)
 
 
 def _gimbal(message: Any, stamp_ns: int) -> GimbalAttitude | None:

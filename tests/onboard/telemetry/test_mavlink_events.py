@@ -55,11 +55,6 @@ def test_a_filter_s_flags_say_what_it_believes(message: Any, has_position: bool,
     assert events(clock(), message) == [FilterStatus(STAMP, has_position, is_glitching)]
 
 
-def test_ardupilot_s_test_of_this_moment_is_read_next_to_its_flag() -> None:
-    rejecting = mavlink.MAVLink_ekf_status_report_message(0x833F, 0.1, 3.8, 0.1, 0.1, 0.1)
-    assert events(clock(), rejecting) == [FilterStatus(STAMP, True, True, rejects_gps=True)]
-
-
 def test_px4_standing_on_the_ground_with_gnss_fused_has_a_position() -> None:
     """It holds the position whenever at rest, and says so: all flags but GPS glitch and accelerometer error."""
     assert events(clock(), estimator(1023)) == [FilterStatus(STAMP, True, False, is_at_rest=True)]

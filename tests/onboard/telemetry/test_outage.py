@@ -107,24 +107,6 @@ def test_a_filter_that_does_not_believe_itself_is_not_accepted(has_position: boo
     assert refused == [4.0, 4.5, 5.0, 5.5]
 
 
-@pytest.mark.parametrize(("rejects_gps", "over_s"), [(True, 14.5), (False, 20.5)])
-def test_a_glitch_is_over_once_the_filter_has_fused_its_gps_for_the_time_to_settle(
-    rejects_gps: bool, over_s: float
-) -> None:
-    """ArduPilot's flag stands for ten seconds more; a glitch of another cause lasts as long as the flag.
-
-    A report also holds for the moment before it.
-    """
-    navigation = Navigation(Config())
-    for i in range(301):
-        navigation.add(position(i / 10))
-        if i % 5 == 0:
-            glitch, now = 50 <= i < 200, rejects_gps and 50 <= i < 100
-            navigation.add(FilterStatus(round(i / 10 * SECOND), True, glitch, rejects_gps=now))
-    usable = [t / 2 for t in range(8, 56) if isinstance(navigation.state_at(round(t / 2 * SECOND)), NavState)]
-    assert [t for t in usable if t > 5.0] == [t / 2 for t in range(round(2 * over_s), 56)], usable
-
-
 def test_a_filter_content_with_itself_changes_nothing() -> None:
     assert all(moments(FilterStatus(5 * SECOND, True, False)))
 
