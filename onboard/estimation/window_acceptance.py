@@ -16,9 +16,10 @@ from onboard.config.schema import Config
 from onboard.estimation.bundle_adjustment import Solution
 from onboard.estimation.factors import AttitudePrior, Layout, Prior, SharedPrior, State
 from onboard.estimation.keyframe import Keyframe, with_attitude
-from onboard.estimation.platform_states import PLANE, STATES
+from onboard.estimation.platform_states import BORESIGHT, PLANE, STATES
 from onboard.estimation.reobservation import Agreement, RelativeVariance, agreement
 from onboard.estimation.sensor_factors import between_covariance, velocity_sigma_m_s
+from onboard.estimation.sensor_groups import LEAST_REDUNDANCY
 from onboard.estimation.solved_window import Solved
 from onboard.geometry.robust import IMPOSSIBLE_SIGMAS
 from onboard.geometry.terrain_grid import Terrain
@@ -112,6 +113,34 @@ def by_itself(
                 what = "no aircraft flies this path so tilted"
             return f"{what}: {rms:.1f} sigmas rms"
     return _by_terrain(config, terrain, s, good) or _by_distance(config, keyframes, s, layout)
+
+
+def mount_misfit_sigmas(s: Solution, used: Sequence[Prior], before: Sequence[Prior]) -> float:
+    """Return by how many sigmas of such residuals a solution's mount is off what was known of it, at most.
+
+    An attitude's constant error is shared by mount, attitude and the ground's slope, each within its own sigmas. `used`
+    and `before`: the sensors as weighted in the solution and by earlier windows. Equation (16.12).
+    """
+    shared = [prior for prior in before if isinstance(prior, SharedPrior)]
+    if not shared:
+        return 0.0
+    S, right = s.reduced.S, np.zeros(len(s.reduced.S))
+    for sign, priors in ((-1.0, used), (1.0, before)) if used is not before else ():
+        for r, J in (prior.evaluate(s.state) for prior in priors):
+            S, right = S + sign * J.T @ J, right + sign * J.T @ r
+    r, J = (part[BORESIGHT] for part in shared[0].evaluate(s.state))
+    found = np.linalg.solve(S, np.column_stack([right, J.T]))
+    rests_on_it = np.sum(J.T * found[:, 1:], axis=0)
+    shows = rests_on_it < 1.0 - LEAST_REDUNDANCY
+    sigmas = np.abs(r - J @ found[:, 0])[shows] / np.sqrt(1.0 - rests_on_it[shows])
+    return float(sigmas.max(initial=0.0))
+
+
+def by_mount(sigmas: float) -> str | None:
+    """Return the reason against a window whose mount is so far from what was known of it; None if that is possible."""
+    if sigmas > IMPOSSIBLE_SIGMAS:
+        return f"attitude or mount is off by more than can be: {sigmas:.1f} sigmas"
+    return None
 
 
 def _by_terrain(config: Config, terrain: Terrain | None, s: Solution, good: Mask) -> str | None:

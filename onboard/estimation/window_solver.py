@@ -39,6 +39,8 @@ from onboard.estimation.window_acceptance import (
     MIN_POINTS,
     by_itself,
     by_memory,
+    by_mount,
+    mount_misfit_sigmas,
 )
 from onboard.estimation.window_problem import WindowProblem
 from onboard.estimation.window_request import Noise, Outcome, Request, Weighed
@@ -323,6 +325,7 @@ def _judged(request: Request, window: WindowProblem, weighed: Weighed, adjusted:
     is_own = noise.factors is not request.noise.factors
     before = window.problem(replace(noise, factors=request.noise.factors)).priors if is_own else priors
     against = by_itself(config, keyframes, request.terrain, s, layout, kept, good, before)
+    against = against or by_mount(mount_misfit_sigmas(s, priors, before))
     if against is not None:
         return refused(Status.POOR_FIT, against)
     solved = _solved(request, window, s, good, sigma_px, moving, keyframes, priors)

@@ -119,6 +119,22 @@ def test_the_sensor_that_contradicts_the_others_is_named(fault: str, names: str)
         assert c.is_now and f"{names} contradicts the other sensors for " in str(c)
 
 
+@pytest.mark.parametrize(("tilt_deg", "is_answered"), [(0.0, True), (3.0, True), (20.0, False)])
+def test_an_attitude_that_is_off_by_twenty_degrees_from_the_start_is_refused(
+    tilt_deg: float, is_answered: bool
+) -> None:
+    """In level flight the ground may slope instead: clicks were 5.4 ellipses off."""
+    path = PathSpec("straight", speed_m_s=10.0, height_m=200.0, heading_deg=30.0)
+    faults = (Disturbance(TILT, -10.0, 60.0, tilt_deg),)
+    flight = DisturbedFlight(SampledSpec(CONFIG, path, 6.0, 2.0, errors=0.7), 3, faults)
+    sets, pipeline = fly(flight)
+    assert {found.is_ok for found in sets.values()} == {is_answered}
+    pixels = np.array([[120.0, 100.0], [330.0, 250.0], [560.0, 400.0]])
+    for error, answer in (each for s in sets.values() if s.is_ok for each in located(flight, s, pixels)):
+        assert chi2_of(error, answer) < 2.0**2 * CHI2_2 and answer.ellipse.semi_major_m < 15.0
+    assert is_answered or "attitude or mount is off by more than can be" in pipeline.summary.refused_windows
+
+
 @pytest.mark.parametrize("fault", AGAINST_GPS)
 def test_the_full_set_is_never_worse_than_camera_and_gps(fault: str) -> None:
     """But for what one draw makes of two medians."""
