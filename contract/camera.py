@@ -330,7 +330,7 @@ def _stated_sigmas(raw: object, what: str) -> list[float] | None:
 
 
 def is_nearly_square(fx_px: float, fy_px: float) -> bool:
-    """Whether pixels have a shape that needs no declaration."""
+    """Return whether pixels have a shape that needs no declaration."""
     return max(fx_px / fy_px, fy_px / fx_px) <= MAX_UNDECLARED_ASPECT
 
 

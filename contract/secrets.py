@@ -49,7 +49,7 @@ _ENCODED = re.compile(r"""[^\s"']*%[0-9A-Fa-f]{2}[^\s"']*""")
 
 
 def _decoded(found: re.Match[str]) -> str:
-    """What is percent-encoded, without its secrets if it has any, and then no longer encoded."""
+    """Return percent-encoded text without its secrets if it has any, and then no longer encoded."""
     plain = unquote(unquote(found[0]))
     cleaned = without_secrets(plain) if "%" not in plain else plain
     return found[0] if cleaned == plain else cleaned

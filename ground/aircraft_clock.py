@@ -34,7 +34,7 @@ class Moment:
 
 @dataclass(frozen=True)
 class _Shown:
-    """What an aircraft's clock showed: the monotonic clock minus it, and when that was noted."""
+    """The state of an aircraft's clock: the monotonic clock minus it, and when that was noted."""
 
     offset_ns: int
     noted_ns: int

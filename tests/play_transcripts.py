@@ -45,7 +45,7 @@ VOLATILE = (
 
 
 def furnish(folder: Path) -> None:
-    """What the commands are given: recordings, a camera file, pictures."""
+    """The inputs of the commands: recordings, a camera file, pictures."""
     rng = np.random.default_rng(0)
     sets = [build(rng, frame=i, capture_unix_ns=START_NS + i * 10**9).feature_set for i in range(3)]
     record(folder / "session.mcap", [*sets, FeatureSet("uav-1", 7, 3, START_NS + 3 * 10**9, Status.TURNING, CAMERA)])
@@ -109,7 +109,7 @@ def played(text: str) -> str:
 
 
 def printed_now(path: Path) -> str:
-    """What a transcript or a page would be, written now."""
+    """Return what a transcript or a page would be, written now."""
     if path.stem in PAGES:
         return PAGES[path.stem]()
     return played(path.read_text(encoding="utf-8"))

@@ -80,7 +80,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Whole:
 
 @dataclass(frozen=True)
 class Damage:
-    """What happened to the file, which sets are lost by it, and how many places are called damaged."""
+    """The damage to a file, which sets are lost by it, and how many places are called damaged."""
 
     to: Callable[[Whole], bytes]
     lost: set[int]

@@ -96,7 +96,7 @@ def gstreamer_launch(spec: dict[str, Any], name: str, closed: Sequence[str] = ()
 
 
 def needs_network(spec: Mapping[str, Any]) -> bool:
-    """Whether what is opened may come from the network, or go there: of a pipeline unless all of it is known not to."""
+    """Return whether what is opened may use the network: a pipeline unless all of it is known not to."""
     if spec["kind"] != "gst":
         return bool(spec["kind"] == "rtsp")
     sources = set(_SOURCE.findall(spec["pipeline"]))

@@ -128,7 +128,7 @@ class _Moments:
 
 
 def _moments(cost: _Cost, fine_s: Array, dispersion: float) -> _Moments:
-    """By costs at these offsets, and then at offsets as close as the sigma found asks for."""
+    """Return the moments by costs at these offsets, and then at offsets as close as the sigma found asks for."""
     offsets_s, found = fine_s, _Moments(0.0, 0.0, 0.0)
     for _ in range(2):
         costs = cost.of(offsets_s)[0] / dispersion

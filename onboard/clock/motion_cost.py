@@ -117,7 +117,7 @@ class MotionCost:
         return max(shared / float(np.sum(gain**2 * variance)), 1.0)
 
     def _by_stamp(self, offsets_s: Array, hypothesis: int, side: int) -> Array:
-        """(K, 4): how the summary goes with the moment of the first or the second picture, per s."""
+        """The derivative (K, 4) of the summary by the moment of the first or the second picture, per s."""
         apart = [0, 0]
         apart[side] = SLIGHT_NS
         before, after = (

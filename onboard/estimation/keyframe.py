@@ -96,12 +96,12 @@ def stamp_sigma_s(keyframes: Sequence[Keyframe]) -> float:
 
 
 def have_attitude(keyframes: Sequence[Keyframe]) -> bool:
-    """Whether the autopilot gave an attitude to every one."""
+    """Return whether the autopilot gave an attitude to every one."""
     return bool(with_attitude(keyframes).all())
 
 
 def with_attitude(keyframes: Sequence[Keyframe]) -> Mask:
-    """To which of them (K,) the autopilot gave an attitude."""
+    """Return which of them (K,) have an attitude of the autopilot."""
     return np.array([k.nav.R_enu_body is not None for k in keyframes], bool)
 
 

@@ -116,7 +116,7 @@ class RateFollower:
         self._change(times)
 
     def _is_lossy(self, came: float, sent: int) -> bool:
-        """Whether less has come than by the radio's own loss: what half the rate has not lessened is its own."""
+        """Return whether less came than by the radio's own loss: what half the rate has not lessened is its own."""
         before = self._halved_at
         if before is not None and came < 0.5 * (before + min(2.0 * before, 1.0)):  # nearer to as before than to twice
             self._own_loss = 1.0 - max(came, before)

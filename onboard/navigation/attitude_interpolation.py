@@ -72,7 +72,7 @@ class Attitudes(Series[Orientation]):
         return float(2.0 * s * (1.0 - s) * np.linalg.norm(missed))
 
     def _rate_change(self, left: int, right: int) -> Array:
-        """How the mean rate (3,), rad/s, changes from interval to interval about one: by its two neighbours.
+        """The change of the mean rate (3,), rad/s, from interval to interval about one: by its two neighbours.
 
         By the larger of the last two changes where the next interval has not come yet.
         """

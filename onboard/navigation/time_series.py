@@ -41,7 +41,7 @@ class Series(Generic[T]):
         return bool(self.stamps_ns) and self.stamps_ns[0] <= moment_ns <= self.stamps_ns[-1]
 
     def has_gap(self, moment_ns: int, received_ns: int) -> bool:
-        """Whether a moment is past the end, and all that comes after `received_ns` too late to be joined with it."""
+        """Return whether a moment is past the end, and all after `received_ns` comes too late to be joined with it."""
         end_ns = self.stamps_ns[-1] if self.stamps_ns else received_ns
         return moment_ns > end_ns and received_ns - end_ns > self.max_gap_s * 1e9
 

@@ -16,7 +16,7 @@ TRIES = 5
 
 
 def agreeing(positions: list[PositionFix]) -> tuple[list[int], list[str]]:
-    """Which positions, in order of time, an aircraft can have passed, and a note of what is left out.
+    """Return which positions, in order of time, an aircraft can have passed, and a note of what is left out.
 
     Raises InputError where too few agree to determine which ones are wrong.
     """
@@ -46,7 +46,7 @@ def agreeing(positions: list[PositionFix]) -> tuple[list[int], list[str]]:
 
 
 def _chain(stamps_s: list[float], places_m: NDArray[np.float64], of: list[int]) -> tuple[list[int], list[int]]:
-    """Those of some rows that can be reached one after the other from the first, and the others."""
+    """Return the rows that can be reached one after the other from the first, and the others."""
     chain, rest = of[:1], list[int]()
     for at in of[1:]:
         last = chain[-1]

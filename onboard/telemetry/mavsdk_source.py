@@ -157,7 +157,7 @@ class MavsdkEnd:
                 self._broken = error
 
     def _is_needless(self, data: bytes) -> bool:
-        """Whether this is a heartbeat before the next one is due."""
+        """Return whether this is a heartbeat before the next one is due."""
         size, at = HEARTBEAT_BYTES.get(data[0], (0, 0)) if data else (0, 0)
         if len(data) != size or any(data[at : at + (1 if data[0] == 0xFE else 3)]):
             return False

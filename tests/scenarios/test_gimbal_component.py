@@ -110,7 +110,7 @@ def powered_up(events: Iterator[Event], until_s: float) -> Iterator[Event]:
 
 
 def test_a_gimbal_that_first_reports_its_power_up_attitude_is_found_afterwards() -> None:
-    """By 8 s of it the camera was on a fixed mount for the whole flight, whatever pictures showed later."""
+    """After 8 s of it the camera was on a fixed mount for the whole flight, whatever pictures showed later."""
     flight = survey(seconds=18.0)
     found = simulated(flight, events=powered_up(flight.events(), 8.0))
     assert found.pipeline.mount_selection.verdict is MountHypothesis.GIMBAL

@@ -36,7 +36,7 @@ BUDGET = replace(WELL, budget=Budget(6.2, {"mount": 0.6, "gps": 0.21, "pixels": 
 
 @dataclass(frozen=True)
 class Case:
-    """What differs from a good flight."""
+    """The difference from a good flight."""
 
     what: str
     report: Report = WELL

@@ -166,7 +166,7 @@ def test_clicks_of_an_import_by_a_foreign_clock_are_at_the_truth(
 def test_clicks_are_at_the_same_places_by_any_clock(
     shared_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Of the other flight there is no truth; it differs by nothing but the clock."""
+    """The other flight has no truth; it differs by nothing but the clock."""
     by_s = {}
     for ahead_s in (0.0, 10.0, -300.0):
         (tmp_path / f"{ahead_s}").mkdir()

@@ -130,7 +130,7 @@ def test_a_password_is_printed_nowhere(out: Path, capsys: pytest.CaptureFixture[
 def test_the_first_flight_s_configuration_keeps_the_passwords_that_its_recording_has_not(
     out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What setup itself asks for as the next step wrote the camera's address without them over the one that works."""
+    """The next step that setup itself asks for wrote the camera's address without them over the one that works."""
     own = parse_config(f'[camera]\ndevice = "{ADDRESS}"\n[mount]\nyaw_deg = 90.0')
     recorded = parse_config(recorded_toml(own).replace("yaw_deg = 90.0", "yaw_deg = 0.0"))
     assert "hunter2" not in to_toml(recorded)

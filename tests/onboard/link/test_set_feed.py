@@ -137,7 +137,7 @@ def test_the_autopilots_own_messages_are_hardly_later_for_the_sets_between_them(
 
 
 def lateness_s(share: float, busy: Way[bytes], radio_bit_rate: float, seconds: float) -> float:
-    """By how much later 99 % of the autopilot's messages come than without ours, after the first tenth."""
+    """Return by how much later 99 % of the autopilot's messages come than without ours, after the first tenth."""
     alone: Way[bytes] = Way(radio_bit_rate)
     for at_s, size in own_stream(radio_bit_rate, share, seconds):
         alone.put_own(round(at_s / STEP_S + 0.4999) * STEP_S, size)  # as the loop looks
