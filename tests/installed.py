@@ -21,6 +21,21 @@ def built(*command: object) -> None:
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+def declared(*extras: str) -> list[str]:
+    """The requirements of the base and of these extras; one that refers to others of ours gives theirs."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    lines = list(project["dependencies"])
+    for extra in extras:
+        for line in project["optional-dependencies"][extra]:
+            wanted = Requirement(line)
+            lines += declared(*wanted.extras) if wanted.name == project["name"] else [line]
+    return list(dict.fromkeys(lines))
+
+
+def extras() -> set[str]:
+    return set(tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"])
+
+
 def needed(requirements: Iterable[str]) -> dict[str, Distribution]:
     """What pip would install for these: every distribution by its name, at a version that will do."""
     found: dict[str, Distribution] = {}
@@ -47,13 +62,12 @@ def laid_over(base: Path, extra: str, folder: Path) -> Path:
     The files are those that pip has installed here, of the same versions: to unpack them again takes a minute of the
     processor's.
     """
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     built(sys.executable, "-m", "venv", "--without-pip", folder)
     (packages,) = (folder / "lib").glob("python3*/site-packages")
     (beneath,) = (base.parent / "lib").glob("python3*/site-packages")
     (packages / "base.pth").write_text(f"{beneath}\n")
-    below = needed(project["dependencies"])
-    for name, there in needed(project["optional-dependencies"][extra]).items():
+    below = needed(declared())
+    for name, there in needed(declared(extra)).items():
         for file in () if name in below else there.files or ():
             if ".." not in file.parts and there.locate_file(file).exists():  # type: ignore[attr-defined]
                 (packages / file).parent.mkdir(parents=True, exist_ok=True)

@@ -10,7 +10,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import tomllib
 import urllib.request
 import zipfile
 from collections.abc import Callable
@@ -31,7 +30,7 @@ from simulation.flight import RecordedSpec
 from simulation.session import SessionSpec, fly
 from simulation.terrain import TerrainSpec
 from tests import postgres
-from tests.installed import ROOT, built, laid_over, needed
+from tests.installed import ROOT, built, declared, extras, laid_over, needed
 from tests.left_out import NO_PROGRAM
 from tests.locked import lines, versions
 from tests.onboard.link.ports import free_udp_port
@@ -65,8 +64,7 @@ def environment(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of programs of the ground's environment: the wheel, its dependencies by pip, and nothing else."""
     folder = tmp_path_factory.mktemp("base") / "venv"
     listed = folder.parent / "requirements.txt"
-    dependencies = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]
-    listed.write_text(lines(needed(dependencies)))
+    listed.write_text(lines(needed(declared())))
     built(sys.executable, "-m", "venv", "--without-pip", folder)
     built(
         sys.executable, "-m", "pip", "--python", folder / "bin" / "python", "install", "--no-compile",
@@ -112,13 +110,8 @@ def run(environment: Path, program: str, *arguments: object) -> subprocess.Compl
 
 
 def test_the_lock_holds_every_dependency_at_a_version_that_will_do() -> None:
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    wanted = [
-        *project["dependencies"],
-        *(line for extra in project["optional-dependencies"].values() for line in extra),
-    ]
     locked = versions()
-    for requirement in map(Requirement, wanted):
+    for requirement in map(Requirement, declared(*extras())):
         assert requirement.specifier.contains(locked[canonicalize_name(requirement.name)]), requirement
 
 
@@ -445,15 +438,8 @@ USES: dict[str, Callable[[Path, Path], None]] = {
 """What each extra, installed alone, is used for. A new extra gets an entry here."""
 
 
-def test_the_extra_of_one_command_is_all_that_it_starts() -> None:
-    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
-    assert set(extras["open"]) == {line for name in ("onboard", "web", "video") for line in extras[name]}
-    assert set(extras["live"]) == {line for name in ("onboard", "web") for line in extras[name]}
-
-
 def test_every_extra_for_users_is_tried() -> None:
-    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
-    assert set(USES) == set(extras) - {"dev"}
+    assert set(USES) == extras() - {"dev"}
 
 
 # What an aircraft and what an operator installs; the others are small, and of `make test-long`.
@@ -511,18 +497,13 @@ def test_every_package_that_is_imported_is_declared(top: str) -> None:
 
     What may be imported where, and at module level, is `test_architecture`'s to say.
     """
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    extras = project["optional-dependencies"]
-    declared = {
-        canonicalize_name(Requirement(line).name)
-        for line in [*project["dependencies"], *(line for extra in extras if extra != "dev" for line in extras[extra])]
-    }
+    may = {canonicalize_name(Requirement(line).name) for line in declared(*(extras() - {"dev"}))}
     owners = packages_distributions()
     # GStreamer's bindings are Debian's: what loads them runs under the system's Python.
     known = {*SHIPPED, *sys.stdlib_module_names, "gi"}
     others = {name: file for name, file in imported_packages(top).items() if name not in known}
     undeclared = {
         name: str(file) for name, file in others.items()
-        if not declared & {canonicalize_name(owner) for owner in owners.get(name, [])}
+        if not may & {canonicalize_name(owner) for owner in owners.get(name, [])}
     }  # fmt: skip
     assert not undeclared

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from importlib.metadata import distribution
 from pathlib import Path
 
@@ -11,6 +10,7 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
+from tests.installed import declared, extras
 from tests.locked import versions
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -39,9 +39,7 @@ def closure(requirements: list[str]) -> set[str]:
 
 def flying() -> set[str]:
     """What runs: the base and every extra but `dev`."""
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    extras = project["optional-dependencies"]
-    return closure([*project["dependencies"], *(line for e in extras if e != "dev" for line in extras[e])])
+    return closure(declared(*sorted(extras() - {"dev"})))
 
 
 def licence(name: str) -> str:
