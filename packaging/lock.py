@@ -179,7 +179,7 @@ def main(arguments: list[str]) -> int:
             packages = lines_of(tomllib.loads(Path(pylock).read_text(encoding="utf-8")))
             twice = [name for name, count in Counter(locked.name for locked in packages).items() if count > 1]
             if twice:
-                raise SystemExit(f"lock: bound {', '.join(twice)} in pyproject.toml: no one version is for every Python")
+                raise SystemExit(f"lock: bound {', '.join(twice)} in pyproject.toml: no one version fits every Python")
             LOCK.write_text(HEAD + "".join(f"{locked.text}\n" for locked in packages), encoding="utf-8")
         case ["pins"]:
             print("\n".join(locked.pin for locked in read().values()))
