@@ -26,6 +26,7 @@ help:
 	@echo "make lint    ruff: rules and format"
 	@echo "make types   mypy --strict"
 	@echo "make pytest  the tests alone (PYTEST_ARGS='-k click' to choose)"
+	@echo "make release  wheel, Debian packages, their parts and checksums of a tagged version: build/release"
 	@echo "make docs    the documentation as a site with search: build/docs/site"
 	@echo "make deb     Debian packages of the aircraft's side, into build/deb (ARCH=arm64 or amd64; docs/service.md)"
 	@echo "make fuzz    a million damaged sets, statuses and recordings for their readers (some minutes)"
@@ -254,6 +255,18 @@ fuzz: $(INSTALLED)
 bench: $(INSTALLED)
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --requirement benchmarks/requirements.txt
 	@$(BIN)/python -m benchmarks
+
+# What a release is, in build/release: the wheel, the packages of both processors, the list of their parts, checksums.
+# The tag names the version: git tag v0.1.0
+VERSION = $(shell $(BIN)/python -c 'import tomllib; print(tomllib.load(open("pyproject.toml", "rb"))["project"]["version"])')
+.PHONY: release
+release: $(INSTALLED) web
+	@git describe --exact-match --tags --match "v$(VERSION)" >/dev/null 2>&1 && test -z "$$(git status --porcelain)" \
+		|| { echo "a release is a clean checkout of its tag: git tag v$(VERSION), which is pyproject.toml's version" >&2; exit 1; }
+	@rm -rf build/release && mkdir -p build/release
+	@$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps --no-build-isolation --wheel-dir build/release .
+	@for arch in amd64 arm64; do PYTHON=$(PYTHON) ARCH=$$arch packaging/build-deb.sh build/release build/deb/wheels/$$arch || exit 1; done
+	@cd build/release && sha256sum -- * >SHA256SUMS && cat SHA256SUMS
 
 # Debian packages of the aircraft's side, into build/deb; wheels are fetched once.
 .PHONY: deb

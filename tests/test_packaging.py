@@ -12,6 +12,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tomllib
 import zlib
 from importlib.metadata import distribution
 from pathlib import Path
@@ -183,3 +184,20 @@ def test_the_package_recommends_what_the_helper_says_to_install() -> None:
     assert recommended is not None and suggested is not None and "Recommends: $gstreamer" in script
     named = {name.split()[0] for part in (recommended[1], suggested[1]) for name in re.split(r",\s*", part)}
     assert {*" ".join(PACKAGES).split(), *BASE.split()} <= named
+
+
+def test_a_release_is_made_of_a_tagged_checkout_alone_and_every_page_has_its_version(tmp_path: Path) -> None:
+    root = Path(__file__).resolve().parents[1]
+    version = tomllib.loads((root / "pyproject.toml").read_text())["project"]["version"]
+    assert f"\nversion: {version}\n" in (root / "CITATION.cff").read_text()
+    assert f"## {version}" in (root / "CHANGELOG.md").read_text()
+    git = tmp_path / "git"  # one that knows no tag, whatever this checkout has
+    git.write_text("#!/bin/sh\nexit 1\n")
+    git.chmod(0o755)
+    done = subprocess.run(
+        ["make", "release", f"VENV={Path(sys.executable).parents[1]}"],
+        cwd=root, env={**os.environ, "PATH": f"{tmp_path}:{os.environ['PATH']}"},
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode != 0
+    assert f"git tag v{version}" in done.stderr
