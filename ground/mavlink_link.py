@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import random
 import socket
@@ -10,10 +11,12 @@ from types import TracebackType
 from typing import Any, Self
 
 from contract.answer import Answer
-from contract.errors import InputError, LinkError
+from contract.errors import CorruptPayload, InputError, LinkError
 from contract.wire.click_code import MAX_NUMBER, TUNNEL_TYPE, ClickQuestion, turned_away
+from contract.wire.radio_state import read_state
 from ground.click_asking import Asking
 from ground.mavlink_endpoint import MavlinkEndpoint, masking
+from ground.radio_traffic import RadioTraffic
 
 LOOK_S = 0.05
 BEAT_S = 30.0  # between heartbeats: any packet of ours teaches the autopilot where we are, and they cost 168 bits each
@@ -70,6 +73,7 @@ class MavlinkLink:
             self._wire.setup_signing(e.key)
         self._vehicles: set[int] = set()
         self._number = random.randrange(MAX_NUMBER + 1)  # so that a new program's questions are not an old one's
+        self.traffic = RadioTraffic()
         self._took_us: set[int] = set()  # aircraft, under our number
         self._beat_s = -BEAT_S
 
@@ -81,7 +85,8 @@ class MavlinkLink:
         self._number = (self._number + 1) % (MAX_NUMBER + 1)
         question = ClickQuestion(self._number, u_px, v_px, frame, capture_unix_ns)
         vehicle = self._find_vehicle()
-        asking = Asking(question, time.monotonic())
+        began_s = time.monotonic()
+        asking = Asking(question, began_s)
         while not asking.is_over(time.monotonic()):
             self.beat()
             if asking.is_due(time.monotonic()):
@@ -90,9 +95,17 @@ class MavlinkLink:
                 found = asking.take(payload) if sender == vehicle else None
                 if found is not None:
                     return found
-        raise LinkError(
+        raise LinkError(self._unanswered(vehicle, began_s))
+
+    def _unanswered(self, vehicle: int, began_s: float) -> str:
+        """Why no answer may have come to a question that was asked from `began_s` on."""
+        if words := self.traffic.own_words(vehicle, began_s):
+            return f"vehicle {vehicle} has received the click, and no answer arrived: {words}"
+        traffic = self.traffic.autopilots_words(vehicle, time.monotonic())
+        return (
             f"vehicle {vehicle} does not answer clicks: does pc-onboard run there with link.mavlink = true and "
             f"telemetry.component {self._endpoint.companion}, and does the autopilot forward to this link?"
+            f"{' ' if traffic else ''}{traffic}"
         )
 
     def close(self) -> None:
@@ -135,11 +148,14 @@ class MavlinkLink:
         out = []
         ours = TUNNEL_TYPE, self._endpoint.system, self._endpoint.component
         for message in (self._mav.parse_buffer(data) or []) if data else []:
-            name = message.get_type()
+            name, sender = message.get_type(), message.get_srcSystem()
+            is_ours = name == "TUNNEL" and message.payload_type == TUNNEL_TYPE
+            if sender in self.vehicles:
+                self.traffic.came(sender, len(message.get_msgbuf()), time.monotonic(), is_ours=is_ours)
             if name == "HEARTBEAT" and message.autopilot != self._dialect.MAV_AUTOPILOT_INVALID:
-                self._vehicles.add(message.get_srcSystem())
+                self._vehicles.add(sender)
             elif name == "TUNNEL" and (message.payload_type, message.target_system, message.target_component) == ours:
-                out.append((message.get_srcSystem(), bytes(message.payload[: message.payload_length])))
+                out.append((sender, bytes(message.payload[: message.payload_length])))
                 self._note_answer(*out[-1])
         return out
 
@@ -147,6 +163,9 @@ class MavlinkLink:
         refusal = turned_away(payload)
         if refusal is not None and vehicle in self.vehicles:
             raise NumberRefused(masking(self._endpoint.system, refusal.low, refusal.high))
+        with contextlib.suppress(CorruptPayload):
+            if (state := read_state(payload)) is not None:
+                self.traffic.stated(vehicle, state, time.monotonic())
         self._took_us.add(vehicle)
 
     def beat(self) -> None:

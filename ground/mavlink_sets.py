@@ -74,7 +74,8 @@ class MavlinkSets:
     @property
     def trouble(self) -> str:
         """What keeps sets from coming, in a line; empty if nothing is known to."""
-        return self.refusal or self._thread.trouble
+        link = self._link
+        return self.refusal or self._thread.trouble or ("" if link is None else link.traffic.trouble(time.monotonic()))
 
     def ask(self, system: int | None, answered: Callable[[int, int], None]) -> None:
         """Ask a vehicle what its clock shows, by a click into its newest picture; from any thread.

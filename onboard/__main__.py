@@ -252,6 +252,11 @@ def _add_setup(setup: argparse.ArgumentParser) -> None:
         "--mount", type=angles, metavar="ROLL,PITCH,YAW", help="how the camera sits, degrees: 0,-90,0 looks down"
     )
     setup.add_argument(
+        "--radio",
+        metavar="KIND",
+        help="the autopilot's radio, for clicks and sets: none, sik, mlrs, elrs, or bit/s",
+    )
+    setup.add_argument(
         "--first-flight",
         type=Path,
         metavar="SESSION.mcap",

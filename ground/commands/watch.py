@@ -129,7 +129,8 @@ def run(args: argparse.Namespace) -> int:
                 age_s, rate_hz, doubt = cache.age_s(name), received.rate_hz(name), cache.doubt(name)
                 if age_s is None and state is not None and (when := stamped_elsewhen(state.unix_s, time.time())):
                     doubt = f"the status is {when}: it is old, or a clock is wrong"
-                rows.append(_row(name, newest, state, age_s, rate_hz, doubt, cache.is_certain(name)))
+                amiss = "; ".join(text for text in (doubt, cache.link_error) if text)
+                rows.append(_row(name, newest, state, age_s, rate_hz, amiss, cache.is_certain(name)))
             if not rows and not args.json:
                 print(f"nothing received yet{f': {cache.link_error}' if cache.link_error else ''}", file=sys.stderr)
             ago_s = cache.stamped_ago_s

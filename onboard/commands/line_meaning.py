@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from onboard.commands.preflight import (
     DARK,
+    LEAST_FREE_PERCENT,
     MAX_CLIPPED,
     MAX_CLOCK_SIGMA_MS,
     MAX_LEFT_OUT,
@@ -118,6 +119,11 @@ MEANING: dict[str, tuple[str, str]] = {
     "link": (
         "Whether the ground can connect.",
         "If bad: another program has the port, or a certificate is not readable; see link.listen and docs/link.md.",
+    ),
+    "radio": (
+        f"What the autopilot's radio carries of ours, and of its own buffer at least {LEAST_FREE_PERCENT} % free; only "
+        "with link.mavlink.",
+        "If bad: slower streams of the autopilot's on that radio, or another link.mavlink_bit_rate (docs/link.md).",
     ),
     "disk": (
         "Free space above what is to be kept free.",

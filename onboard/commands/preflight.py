@@ -14,8 +14,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from contract.camera import Camera
+from contract.wire.radio_state import LOWER_STREAMS
 from onboard.config.schema import Config
 from onboard.events.source import SourceStatus
+from onboard.events.tunnel import RadioReport
 from onboard.pipeline.estimates import BORESIGHT, RELATIVE_VARIANCE, TIME_OFFSET, larger_than_declared, not_adopted
 from onboard.service.reports import Report
 from onboard.service.vehicle_state import Subject, VehicleState
@@ -32,6 +34,8 @@ MAX_CLIPPED = 0.3
 MAX_LEFT_OUT = 0.4  # of the picture
 DARK, BRIGHT = 25.0, 230.0
 HOT_C = 80.0
+LEAST_FREE_PERCENT = 20  # of a radio's buffer: below it ArduPilot slows its own streams down
+MAX_UNHEARD = 0.5  # of the questions answered
 
 
 @dataclass(frozen=True)
@@ -82,6 +86,7 @@ def diagnose(config: Config, report: Report, around: Surroundings) -> list[Line]
         _relative_errors(report),
         _calibration(around.camera),
         Line("link", not around.link, around.link or f"open, {', '.join((*config.link.listen, *config.link.connect))}"),
+        *([_radio(config, report.radio)] if config.link.mavlink else []),
         _disk(config, around.free_mb),
         _processor(around.temperature_c),
     ]
@@ -251,6 +256,27 @@ def _calibration(camera: Camera | str) -> Line:
     width, height = camera.size_px
     field_deg = math.degrees(2.0 * math.atan(0.5 * width / camera.focal_px))
     return Line("calibration", True, f"{width} x {height}, {field_deg:.0f} deg wide")
+
+
+def _radio(config: Config, radio: RadioReport | None) -> Line:
+    """Whether what goes through the autopilot's radio arrives; unknown until a ground has listened or asked."""
+    most = f"link.mavlink_bit_rate {config.link.mavlink_bit_rate:g} bit/s"
+    if radio is None:
+        return Line("radio", True, f"for clicks and sets, {most}; whether it carries that shows in flight")
+    found = []
+    if radio.free_percent is not None and radio.free_percent < LEAST_FREE_PERCENT:
+        found.append(f"its buffer is full ({radio.free_percent} % free, by RADIO_STATUS): {LOWER_STREAMS}")
+    if radio.finding:
+        found.append(radio.finding)
+    if radio.unheard > MAX_UNHEARD * radio.answered:
+        found.append(f"{radio.unheard} of {radio.answered} answers did not arrive: {LOWER_STREAMS}")
+    if found:
+        return Line("radio", False, "; ".join(dict.fromkeys(found)))
+    free = "" if radio.free_percent is None else f", {radio.free_percent} % of its buffer free"
+    answers = f"{radio.answered} clicks answered, {radio.unheard} answers lost{free}"
+    if radio.bit_rate is None or radio.set_s is None:
+        return Line("radio", True, f"{answers}; no ground listens, so what it carries of {most} is not known")
+    return Line("radio", True, f"{radio.bit_rate:.0f} of {most}, a set every {radio.set_s:.1f} s; {answers}")
 
 
 def _disk(config: Config, free_mb: float | None) -> Line:

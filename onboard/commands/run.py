@@ -145,6 +145,7 @@ def open_parts(config: Config, clock: SessionClock | None = None, open_camera: O
             temperature_c=cpu_temperature_c,
             resources=opened.pop_all(),
             threads=threads,
+            radio=None if radio is None else radio.report,
         )
     began = datetime.fromtimestamp(clock.now_ns() / 1e9, UTC).strftime("%Y-%m-%d %H:%M:%S")
     log.info("session of %s begins, %s UTC by the host's clock", config.vehicle.id, began)

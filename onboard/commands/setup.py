@@ -29,6 +29,7 @@ from onboard.commands.calibrate import write
 from onboard.commands.cameras import stable_name
 from onboard.commands.questions import Terminal
 from onboard.commands.replay import recorded_flight
+from onboard.commands.telemetry_radios import OTHER_RADIO, RADIOS, ours_of, radio_bit_rate
 from onboard.config.files import load_config_files
 from onboard.config.recorded import with_secrets_of
 from onboard.config.schema import Config, to_toml
@@ -109,11 +110,13 @@ def run(arguments: argparse.Namespace, terminal: Terminal | None = None, around:
     camera_file, text = _camera_file(arguments, terminal, camera, camera_path, left)
     telemetry, system = _telemetry(arguments, terminal, around, left)
     mount = _mount(arguments, terminal, left)
+    radio = _radio(arguments, terminal, left)
     keys = {
         "vehicle": {"id": arguments.vehicle},
         "mount": dict(zip(("roll_deg", "pitch_deg", "yaw_deg"), mount, strict=True)),
         "camera": {"device": camera.device, "file": str(camera_file)},
         "telemetry": {"url": telemetry, "system": system, **(SLOW_RATES if is_slow(telemetry) else {})},
+        "link": radio,
         "recording": {"pictures": "jpeg"},  # the first flight's show how the camera sits: the step after this one
     }
     config = _checked(keys)
@@ -339,6 +342,30 @@ def _mount(arguments: argparse.Namespace, terminal: Terminal | None, left: list[
         return MOUNTS[names[at]]
     assert terminal is not None
     return terminal.ask("roll,pitch,yaw, degrees (0,-30,0: ahead, 30 below the horizon)", mount_angles)
+
+
+def _radio(arguments: argparse.Namespace, terminal: Terminal | None, left: list[str]) -> dict[str, Any]:
+    """The keys of `link` for clicks and sets through the autopilot's radio; none where it has no such radio."""
+    if arguments.radio is not None:
+        try:
+            bit_rate = radio_bit_rate(arguments.radio)
+        except ValueError as error:
+            raise ConfigError(f"setup: --radio {arguments.radio}: {error}") from error
+    elif terminal is None:
+        left.append("only a network brings sets to the ground; where there is a telemetry radio alone: --radio sik")
+        return {}
+    else:
+        terminal.show("The telemetry radio, through the autopilot, for clicks and sets:")
+        at = terminal.choose("which", [*(radio.name for radio in RADIOS.values()), OTHER_RADIO])
+        known = [radio.bit_rate for radio in RADIOS.values()]
+        bit_rate = known[at] if at < len(known) else terminal.ask("bit/s to the ground", radio_bit_rate)
+    if bit_rate == 0.0:
+        return {}
+    left.append(
+        "on the ground: `pc-ground watch --connect mavlink:serial:DEVICE:BAUD`; whether link.mavlink_bit_rate fits the "
+        "radio is shown by the line `radio` of `pc-onboard doctor` while a ground listens"
+    )
+    return {"mavlink": True, "mavlink_bit_rate": ours_of(bit_rate)}
 
 
 def _print_what_is_left(config: Path, left: list[str]) -> None:

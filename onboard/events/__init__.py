@@ -5,7 +5,7 @@ Public:
 - `session_clock`: `SessionClock`
 - `sink`: `Sink`
 - `source`: `Emit`, `Severity`, `Source`, `SourceStatus`, `State`, `Stop`, `TelemetrySource`
-- `tunnel`: `Peer`, `TunnelEnd`
+- `tunnel`: `Peer`, `RadioReport`, `TunnelEnd`
 - `types`: `Attitude`, `Event`, `FilterStatus`, `Frame`, `GimbalAttitude`, `GpsQuality`, `NavEvent`, `PositionFix`,
   `RangeFinder`, `Zoom`, `ZoomUnit`
 - `waiting_pictures`: `WaitingPictures`

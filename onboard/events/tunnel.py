@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 
@@ -11,6 +12,22 @@ class Peer(NamedTuple):
 
     system: int
     component: int
+
+
+@dataclass(frozen=True)
+class RadioReport:
+    """How it goes through the autopilot's radio. `bit_rate`, `set_s`: as to a ground that listens, None without one.
+
+    `finding`: what is amiss and what to do, in words. `unheard`: questions whose answers did not arrive.
+    `free_percent`: of the radio's own buffer, by a RADIO_STATUS that came to us.
+    """
+
+    bit_rate: float | None = None
+    set_s: float | None = None
+    finding: str = ""
+    answered: int = 0
+    unheard: int = 0
+    free_percent: int | None = None
 
 
 class TunnelEnd(Protocol):
@@ -27,3 +44,6 @@ class TunnelEnd(Protocol):
 
     def know_ground_stations(self, low: int, high: int) -> None:
         """The system numbers that the autopilot takes for its ground stations."""
+
+    def note_radio(self, free_percent: int) -> None:
+        """A radio on our line has reported how much of its buffer is free."""

@@ -11,7 +11,7 @@ from contract.supervised_thread import SupervisedThread
 from contract.wire.click_code import TurnedAway, encode_answer
 from contract.wire.set_pieces import MAX_WIRE_BYTES
 from onboard.config.schema import Config
-from onboard.events.tunnel import Peer
+from onboard.events.tunnel import Peer, RadioReport
 from onboard.link.byte_budget import Bucket
 from onboard.link.click_service import ClickService
 from onboard.link.publisher import Publisher
@@ -22,6 +22,7 @@ OVERHEAD, SIGNATURE = 17, 13  # bytes on the wire in addition to a payload in MA
 BURST_S = 0.5
 MAX_TURNED_AWAY = 4  # between two looks
 NUMBERED = struct.Struct("<BH")  # how every packet of a ground begins: its kind, and a number
+REPORTED_S = 10.0  # that a radio's own report is news
 GROUND_STATIONS = 255, 255  # as autopilots have it unless they report others
 
 
@@ -49,6 +50,7 @@ class AutopilotRadio:
         self.feed = SetFeed(max_bit_rate, overhead, bucket, age_s, now_ns)
         self._ground_stations = GROUND_STATIONS
         self._turned_away: dict[Peer, int] = {}  # with the number of their question
+        self._reported: tuple[int, float] | None = None  # what is free of a radio's buffer, and when that was
 
     @classmethod
     def open(cls, config: Config, link: Publisher) -> Self:
@@ -75,6 +77,23 @@ class AutopilotRadio:
     def know_ground_stations(self, low: int, high: int) -> None:
         """The system numbers that the autopilot takes for its ground stations."""
         self._ground_stations = low, high
+
+    def note_radio(self, free_percent: int) -> None:
+        """Note how much of its buffer a radio on our line has left."""
+        self._reported = free_percent, self._now_ns() / 1e9
+
+    def report(self) -> RadioReport:
+        """Return how it goes, from any thread."""
+        state, reported = self.feed.state(), self._reported
+        is_news = reported is not None and self._now_ns() / 1e9 - reported[1] < REPORTED_S
+        return RadioReport(
+            None if state is None else state.bit_rate,
+            None if state is None else state.set_s,
+            "" if state is None else state.words,
+            self.clicks.answered,
+            self.clicks.unheard,
+            reported[0] if reported is not None and is_news else None,
+        )
 
     def receive(self, ground: Peer, payload: bytes) -> None:
         """A packet from a ground; what is nothing of ours is passed over."""

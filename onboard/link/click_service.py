@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import threading
 import time
-from collections import OrderedDict, deque
+from collections import Counter, OrderedDict, deque
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -21,6 +21,7 @@ from contract.locate import Locator
 from contract.supervised_thread import Policy, SupervisedThread
 from contract.wire import click_code, codec
 from contract.wire.click_code import ClickAnswer, ClickQuestion
+from contract.wire.radio_state import Held, RadioState, encode_state
 from onboard.events.tunnel import Peer
 from onboard.link.byte_budget import Bucket
 from onboard.link.reply import Answer, Question
@@ -30,6 +31,8 @@ MAX_KEPT = 32  # answers, to be sent again
 # Of the time that an answer takes at our bit rate: asked again sooner, it is under way and not lost.
 UNDER_WAY = 1.5
 IDLE_S = 0.5
+# Times that an answer went and its question came again: a radio that loses a tenth does that once in a thousand clicks.
+UNHEARD = 3
 
 
 class ClickService:
@@ -53,8 +56,9 @@ class ClickService:
         self._ready: deque[tuple[Peer, bytes]] = deque()
         self._kept: OrderedDict[tuple[Peer, int], bytes] = OrderedDict()
         self._gone_s: OrderedDict[bytes, float] = OrderedDict()  # when the last answers were sent
+        self._again: Counter[bytes] = Counter()  # how often an answer of `_gone_s` did not get to the ground
         self._locator: tuple[bytes, Locator] | None = None  # of the last set
-        self.answered = 0
+        self.answered = self.unheard = 0  # questions; and those of which answers went and did not arrive
         self._changed = threading.Condition()
         self.thread = SupervisedThread("clicks", self._run, Policy.RESTART)
 
@@ -77,10 +81,20 @@ class ClickService:
             known = self._kept.get((ground, question.number))
             if known is not None:
                 if not self._is_under_way(known):
+                    self._note_unheard(ground, known)
                     self._send(ground, known)
             elif not self._is_waiting(ground, question.number) and len(self._asked) < MAX_WAITING:
                 self._asked.append((ground, question, self._now_ns()))
                 self._changed.notify()
+
+    def _note_unheard(self, ground: Peer, payload: bytes) -> None:
+        """Count an answer that went in vain; a packet that is small enough to get through reports it to the ground."""
+        if payload not in self._gone_s or (ground, payload) in self._ready:
+            return
+        self._again[payload] += 1
+        if self._again[payload] >= UNHEARD:
+            self.unheard += self._again[payload] == UNHEARD
+            self._send(ground, encode_state(RadioState(Held.BY_RADIO)))
 
     def _is_waiting(self, ground: Peer, number: int) -> bool:
         return any((asked[0], asked[1].number) == (ground, number) for asked in self._asked)
@@ -98,7 +112,7 @@ class ClickService:
                 out.append(self._ready.popleft())
                 self._gone_s[out[-1][1]] = now_s
                 while len(self._gone_s) > MAX_KEPT:
-                    self._gone_s.popitem(last=False)
+                    self._again.pop(self._gone_s.popitem(last=False)[0], None)
         return out
 
     def work(self) -> bool:

@@ -12,6 +12,7 @@ import math
 from collections import deque
 from collections.abc import Sequence
 
+from contract.wire.radio_state import Held
 from contract.wire.set_pieces import ReceiverReport
 
 BEGIN_BIT_RATE, LEAST_BIT_RATE = 1000.0, 300.0
@@ -53,6 +54,13 @@ class RateFollower:
     def bit_rate(self, now_s: float) -> float:
         """What may be sent now."""
         return self._rate if now_s - self._reported_s < SILENT_S else 0.0
+
+    @property
+    def held(self) -> Held:
+        """The reason why the rate is no higher: what is configured, or that a higher one was too much for the radio."""
+        if self._rate >= self._most:
+            return Held.BY_CONFIGURATION
+        return Held.BY_NOTHING if self._is_starting else Held.BY_RADIO
 
     def received(self, report: ReceiverReport, now_s: float, under_way_s: Sequence[float]) -> None:
         """A ground's report, and how long each packet of which it is news was under way, the report's way included."""

@@ -18,6 +18,7 @@ from contract.errors import LinkError
 from contract.supervised_thread import ThreadReport
 from contract.vehicle_status import VehicleStatus
 from onboard.events.source import SourceStatus
+from onboard.events.tunnel import RadioReport
 from onboard.events.types import GpsQuality
 from onboard.pipeline.error_budgets import Budget
 from onboard.pipeline.estimates import Contradiction, Estimate, SensorError
@@ -108,6 +109,7 @@ class Report:
     unconfirmed: tuple[Estimate, ...] = ()  # found, but too far from the prior to be adopted by itself
     budget: Budget | None = None  # of a click in the middle of the newest picture; None while it is not known
     thermal_camera: SourceStatus | None = None  # a second camera next to the first; None where there is none
+    radio: RadioReport | None = None  # the autopilot's, where link.mavlink is on
 
     def estimate(self, name: str) -> Estimate | None:
         """One of the estimates; None while there is none of that name."""

@@ -23,6 +23,7 @@ from onboard.config.schema import Config
 from onboard.events.session_clock import SessionClock
 from onboard.events.sink import Sink
 from onboard.events.source import Source, TelemetrySource
+from onboard.events.tunnel import RadioReport
 from onboard.events.types import Event, Frame, GpsQuality
 from onboard.pipeline.error_budgets import NewestBudget
 from onboard.pipeline.estimates import in_words
@@ -80,6 +81,7 @@ class Parts:
     resources: ExitStack = field(default_factory=ExitStack)
     threads: Sequence[SupervisedThread] = ()  # those that the parts brought with them: link, recording, solver, ...
     thermal_camera: Source | None = None  # a second one, which one of the sinks runs
+    radio: Callable[[], RadioReport] | None = None  # how it goes through the autopilot's
 
 
 class Session:
@@ -244,6 +246,7 @@ class Session:
             summary.unconfirmed,
             budget,
             inputs.thermal_camera,
+            None if self.parts.radio is None else self.parts.radio(),
         )
 
     def _run_camera(self, thread: SupervisedThread) -> None:

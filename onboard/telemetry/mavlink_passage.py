@@ -36,6 +36,8 @@ class Passage:
             if is_ours and not self._ground_stations.is_open:
                 ground = Peer(message.get_srcSystem(), message.get_srcComponent())
                 self._tunnel.receive(ground, bytes(message.payload[: message.payload_length]))
+        elif name == "RADIO_STATUS":  # of a radio on our own line: no autopilot forwards its own's
+            self._tunnel.note_radio(int(message.txbuf))
         elif name in ("HEARTBEAT", "PARAM_VALUE"):
             is_autopilot = (message.get_srcSystem(), message.get_srcComponent()) == (system, AUTOPILOT_COMPONENT)
             if is_autopilot and self._ground_stations.receive(message):

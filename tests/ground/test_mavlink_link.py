@@ -19,6 +19,7 @@ from contract.answer import Fix, Refusal
 from contract.errors import LinkError
 from contract.feature_set import Status
 from contract.wire.codec import encode
+from contract.wire.radio_state import Held, RadioState
 from ground import mavlink_link
 from ground.__main__ import main
 from ground.client import SetCache, inquire
@@ -75,6 +76,9 @@ class Aircraft:
         self.autopilot.attach(self.wire)  # type: ignore[arg-type]
         self.passage = Passage(config, self.radio)
         self.received: list[str] = []
+        self.room_bytes = (
+            10_000  # a larger packet of ours is dropped without a word, as an autopilot's full buffer does
+        )
         self.stop, self.has_ended = threading.Event(), threading.Event()
 
     def _look_up(self, asked: Question) -> Answer | None:
@@ -91,7 +95,8 @@ class Aircraft:
                 self.passage.receive(message, self.system)
             self.radio.clicks.work()
             for message in self.passage.due(0, self.system):
-                self.end.send(message)
+                if getattr(message, "payload_length", 0) <= self.room_bytes:
+                    self.end.send(message)
         self.has_ended.set()
 
 
@@ -156,6 +161,53 @@ def test_a_ground_that_is_turned_away_says_what_it_would_have_hidden() -> None:
         aircraft.radio.know_ground_stations(250, 255)
         with pytest.raises(LinkError, match="MAV_GCS_SYSID 250 to 255"):
             link.ask(320.0, 240.0)
+
+
+def test_a_click_whose_answers_find_no_room_says_that_the_radio_is_full(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in (("SOON_S", 0.1), ("ASK_AGAIN_S", 0.2), ("GIVE_UP_S", 2.0)):
+        monkeypatch.setattr(f"ground.click_asking.{name}", value)
+    with flying() as (radio, (aircraft,)), MavlinkLink(MavlinkEndpoint.parse(radio)) as link:
+        aircraft.room_bytes = 20
+        with pytest.raises(LinkError, match=r"vehicle 3 has received the click.*the radio is full: .* MAV_n_RATE"):
+            link.ask(320.0, 240.0)
+        assert aircraft.radio.report().unheard == aircraft.radio.report().answered == 1
+        aircraft.room_bytes = 0
+        with pytest.raises(LinkError, match=r"does not answer clicks: .* 0\.\d kbit/s of its autopilot's own messages"):
+            link.ask(320.0, 240.0)
+        aircraft.room_bytes = 100
+        assert isinstance(link.ask(320.0, 240.0), Fix)
+
+
+def test_watch_says_why_a_radio_that_is_received_brings_no_sets(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It said "nothing received yet", for as long as one cared to wait."""
+    monkeypatch.setattr("ground.radio_traffic.QUIET_S", 0.5)
+    with flying() as (radio, (aircraft,)):
+        aircraft.room_bytes = 0
+
+        def is_shown() -> bool:
+            assert main(["watch", "--connect", radio, "--count", "2", "--period", "1"]) == 0
+            shown = capsys.readouterr().err
+            return "nothing received yet: nothing of pc-onboard comes" in shown and "it is full" in shown
+
+        assert eventually(is_shown)
+
+
+def test_watch_shows_the_aircrafts_own_words_of_its_radio(capsys: pytest.CaptureFixture[str]) -> None:
+    with flying() as (radio, (aircraft,)):
+        for frame in range(3):
+            aircraft.radio.feed.offer(a_set(frame))
+        stated = RadioState(Held.BY_RADIO, 400.0, 15.0)
+        aircraft.radio.feed._state = lambda now_s: stated  # type: ignore[method-assign]
+        rows: list[dict[str, Any]] = []
+
+        def is_shown() -> bool:
+            assert main(["watch", "--connect", radio, "--json", "--count", "3", "--period", "1"]) == 0
+            rows.extend(json.loads(line) for line in capsys.readouterr().out.splitlines())
+            return any("the radio is full: a set takes 15 s at the 0.4 kbit/s" in row["reason"] for row in rows)
+
+        assert eventually(is_shown), rows
 
 
 def test_a_second_program_on_one_udp_port_is_refused() -> None:

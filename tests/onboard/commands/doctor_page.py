@@ -7,11 +7,13 @@ from dataclasses import dataclass, replace
 from contract.camera import Camera
 from contract.feature_set import Status
 from contract.supervised_thread import ThreadReport, ThreadState
+from contract.wire.radio_state import Held, RadioState
 from onboard.commands.doctor import text
 from onboard.commands.preflight import Surroundings, diagnose
 from onboard.config.schema import Config, ThermalConfig
 from onboard.config.second_camera import SecondCamera
 from onboard.events.source import SourceStatus, State
+from onboard.events.tunnel import RadioReport
 from onboard.georeferencing.click_budget import Budget
 from onboard.pipeline.estimates import (
     BORESIGHT,
@@ -71,6 +73,8 @@ def configured(**camera: object) -> Config:
 GPS, LIGHT = WELL.gps, WELL.brightness
 assert GPS is not None and LIGHT is not None
 SECOND = configured(thermal=SecondCamera(device="/dev/video9", file="thermal.json", scale=0.04))
+RADIO = CONFIG.model_copy(update={"link": CONFIG.link.model_copy(update={"mavlink": True})})
+FULL, LOW = RadioState(Held.BY_RADIO, 300.0, 22.0), RadioState(Held.BY_CONFIGURATION, 1200.0, 5.5)
 NMEA = Config.model_validate({"telemetry": {"url": "nmea:/dev/ttyUSB0:9600"}, "recording": {"enabled": False}})
 RECEIVER = replace(
     WELL,
@@ -145,6 +149,14 @@ CASES = [
     Case("one of no known scale", config=CONFIG.model_copy(update={"thermal": ThermalConfig(enabled=True)})),
     Case("a second camera", judged(thermal_camera=SourceStatus(State.OK, "")), config=SECOND),
     Case("one that was unplugged", judged(thermal_camera=SourceStatus(State.LOST, "unplugged")), config=SECOND),
+    # The telemetry radio has a line where something goes through it.
+    Case("the autopilot's radio, without a daemon", around=replace(AROUND, is_running=False), config=RADIO),
+    Case("one that no ground listens to", replace(WELL, radio=RadioReport(answered=9)), config=RADIO),
+    Case("one that carries sets", replace(WELL, radio=RadioReport(4800.0, 1.4, "", 9, 1, 80)), config=RADIO),
+    Case("one that is full", replace(WELL, radio=RadioReport(300.0, 22.0, FULL.words, 9, 1)), config=RADIO),
+    Case("one with too low a bit rate", replace(WELL, radio=RadioReport(1200.0, 5.5, LOW.words)), config=RADIO),
+    Case("one whose answers do not arrive", replace(WELL, radio=RadioReport(answered=9, unheard=8)), config=RADIO),
+    Case("one that reports a full buffer", replace(WELL, radio=RadioReport(free_percent=4)), config=RADIO),
     # What is not needed is not missed, and without a daemon nothing is reported of what only it can know.
     Case("a receiver alone, without recording", RECEIVER, Surroundings(CAMERA, "", None, None), NMEA),
     Case("no daemon", around=replace(AROUND, is_running=False)),

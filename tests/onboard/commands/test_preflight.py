@@ -13,7 +13,7 @@ from onboard.config.schema import Config, ThermalConfig
 from onboard.events.source import SourceStatus, State
 from onboard.service.reports import Report
 from onboard.service.vehicle_state import Inputs, Subject, overall
-from tests.onboard.commands.doctor_page import AROUND, BUDGET, CASES, CONFIG, judged
+from tests.onboard.commands.doctor_page import AROUND, BUDGET, CASES, CONFIG, RADIO, judged
 from tests.onboard.service.reported import inputs, report_of, unhurried
 
 
@@ -45,7 +45,7 @@ def test_what_the_state_says_stands_in_a_red_line(messages: Inputs) -> None:
 
 
 def test_every_line_is_explained_and_no_name_runs_into_its_text() -> None:
-    config = CONFIG.model_copy(update={"thermal": ThermalConfig(enabled=True)})
+    config = RADIO.model_copy(update={"thermal": ThermalConfig(enabled=True)})
     report = judged(thermal_camera=SourceStatus(State.OK))
     lines = diagnose(config, report, replace(AROUND, decoders="H264 by avdec_h264"))
     assert {line.name for line in lines} == set(MEANING)

@@ -145,7 +145,7 @@ def test_the_first_flight_s_configuration_keeps_the_passwords_that_its_recording
 
 
 def test_what_is_several_is_asked_and_wrong_answers_are_asked_again(out: Path) -> None:
-    typed = Typed("7", "one", "2", "wide", "1e9", "640x480", "200", "80", "3", "2", "")
+    typed = Typed("7", "one", "2", "wide", "1e9", "640x480", "200", "80", "3", "2", "", "")
     around = Around([PI, BARE], [SERIAL, SLOW])
     assert setup.run(arguments(out), typed.terminal, around.around) == 0
     # 7, one: no such camera; wide, 1e9: no size; 200: no field of view; 3: no such autopilot.
@@ -164,11 +164,41 @@ def test_what_is_several_is_asked_and_wrong_answers_are_asked_again(out: Path) -
 
 
 def test_a_camera_may_sit_in_any_way_and_the_angles_are_asked_again_until_they_are_some(out: Path) -> None:
-    typed = Typed("", "", "7", "down a bit", "0, -30, 10")
+    typed = Typed("", "", "7", "down a bit", "0, -30, 10", "")
     assert setup.run(arguments(out), typed.terminal, Around([WEBCAM], [SERIAL]).around) == 0
     mount = load_config_files(out).mount
     assert (mount.roll_deg, mount.pitch_deg, mount.yaw_deg) == (0.0, -30.0, 10.0)
     assert "  three angles as in 0,-30,0" in typed.shown
+
+
+@pytest.mark.parametrize(
+    ("typed", "mavlink", "bit_rate"),
+    [
+        (["", "1"], False, 4800.0),
+        (["", "2"], True, 9600.0),
+        (["", "4"], True, 400.0),
+        (["", "5", "fast", "12000"], True, 4800.0),
+        (["--radio", "none"], False, 4800.0),
+        (["--radio", "mlrs"], True, 4800.0),
+        (["--radio", "115200"], True, 19200.0),
+    ],
+)
+def test_the_telemetry_radio_that_is_chosen_gets_as_much_of_ours_as_it_carries(
+    out: Path, typed: list[str], mavlink: bool, bit_rate: float, capsys: pytest.CaptureFixture[str]
+) -> None:
+    is_asked = typed[0] != "--radio"
+    terminal = Typed("", "", *typed).terminal if is_asked else None
+    words = [] if is_asked else ["--yes", *typed]
+    assert setup.run(arguments(out, *words), terminal, Around([WEBCAM], [SERIAL]).around) == 0
+    link = load_config_files(out).link
+    assert (link.mavlink, link.mavlink_bit_rate) == (mavlink, bit_rate)
+    assert ("mavlink:serial:DEVICE:BAUD" in capsys.readouterr().out) is mavlink
+
+
+def test_a_radio_of_no_such_name_is_one_line_and_nothing_is_written(out: Path) -> None:
+    with pytest.raises(ConfigError, match=r"--radio wifi: bit/s from 200 to 1e\+06, or one of none, sik, mlrs, elrs"):
+        setup.run(arguments(out, "--yes", "--radio", "wifi"), None, Around([WEBCAM], [SERIAL]).around)
+    assert not list(out.parent.iterdir())
 
 
 @pytest.mark.parametrize(("measured_hz", "written"), [(29.4, 30.0), (14.987, 15.0), (None, 30.0)])
@@ -183,13 +213,13 @@ def test_the_rate_that_the_camera_really_gives_is_written(out: Path, measured_hz
 
 def test_empty_lines_take_what_is_shown(out: Path) -> None:
     around = Around([PI, WEBCAM], [SERIAL])
-    assert setup.run(arguments(out), Typed("", "", "", "").terminal, around.around) == 0
+    assert setup.run(arguments(out), Typed("", "", "", "", "").terminal, around.around) == 0
     config = load_config_files(out)
     assert config.camera.device == PI.device and Camera.from_json(out.with_name("camera.json")).size_px == (1280, 720)
 
 
 def test_without_camera_and_autopilot_a_person_may_name_them(out: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    typed = Typed("", "gst:videotestsrc", "640x480", "62", "", "5")
+    typed = Typed("", "gst:videotestsrc", "640x480", "62", "", "5", "")
     assert setup.run(arguments(out), typed.terminal, Around([], []).around) == 0
     config = load_config_files(out)
     assert (config.camera.device, config.telemetry.url) == ("gst:videotestsrc", "udpin:0.0.0.0:14550")
@@ -217,7 +247,7 @@ def test_two_vehicles_on_one_line_are_a_question(out: Path) -> None:
     around = Around([WEBCAM], [SERIAL, SECOND])
     with pytest.raises(ConfigError, match=r"system 1, ArduPilot; .* system 7, .* quadrotor; .* --system NUMBER"):
         setup.run(arguments(out, "--yes"), None, around.around)
-    assert setup.run(arguments(out), Typed("", "", "2", "").terminal, around.around) == 0
+    assert setup.run(arguments(out), Typed("", "", "2", "", "").terminal, around.around) == 0
     assert load_config_files(out).telemetry.system == 7
 
 

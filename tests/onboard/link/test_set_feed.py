@@ -8,10 +8,12 @@ from dataclasses import dataclass, field
 import pytest
 
 from contract.wire.click_code import ClickQuestion, TurnedAway, decode, encode_question
+from contract.wire.radio_state import Held, RadioState, encode_state, read_state
 from contract.wire.set_pieces import MAX_WIRE_BYTES, ReceiverReport, SetAssembly, encode_report, read_piece
 from onboard.events.tunnel import Peer
 from onboard.link.autopilot_radio import OVERHEAD, AutopilotRadio
 from onboard.link.rate_follower import BEGIN_BIT_RATE, LEAST_BIT_RATE, SILENT_S, RateFollower
+from onboard.link.set_feed import SLOW_S, STATE_S
 from onboard.link.set_selection import Offer
 from tests.onboard.link.pipe import HEARTBEAT_BYTES, Way, own_stream
 from tests.onboard.link.test_click_service import Clock, look_up
@@ -19,6 +21,7 @@ from tests.onboard.link.test_click_service import Clock, look_up
 GROUND = Peer(245, 25)
 REPORT_S = 2.0
 STEP_S = 0.01
+STATE_BYTES = len(encode_state(RadioState(Held.BY_RADIO))) + OVERHEAD
 SET_BYTES = 551  # the median of a hundred features
 
 
@@ -44,6 +47,7 @@ class Ground:
 
     came: list[tuple[float, float]] = field(default_factory=list)
     ages_s: list[float] = field(default_factory=list)  # of the newest, at every step
+    states: list[tuple[float, RadioState]] = field(default_factory=list)
 
 
 def simulated(
@@ -81,7 +85,8 @@ def simulated(
             assert len(payload) + OVERHEAD <= MAX_WIRE_BYTES
             down.put(now_s, len(payload) + OVERHEAD, payload)
         for payload in down.arrived(now_s):
-            piece = read_piece(payload)
+            piece, state = read_piece(payload), read_state(payload)
+            ground.states += [] if state is None else [(now_s, state)]
             done = None if piece is None else assembly.take(piece, now_s)
             if done is not None:
                 number = int.from_bytes(done[0][:4], "little")
@@ -150,6 +155,29 @@ def test_on_a_radio_that_is_nearly_full_the_autopilots_messages_are_little_later
     assert 0.02 <= lateness_s(0.79, busy, 4_800.0, 300.0) <= 0.2
     assert busy.dropped <= 0.05 * (len(busy.carried) + busy.dropped)
     assert len([came_s for came_s, _ in ground.came if came_s >= 30.0]) >= 270.0 / 25.0
+
+
+@pytest.mark.parametrize(
+    ("radio_bit_rate", "our_bit_rate", "share", "held"),
+    [(4_800.0, 4_800.0, 0.79, Held.BY_RADIO), (19_200.0, 1_200.0, 0.05, Held.BY_CONFIGURATION)],
+)
+def test_where_sets_take_too_long_the_ground_learns_what_holds_them(
+    radio_bit_rate: float, our_bit_rate: float, share: float, held: Held
+) -> None:
+    ground, down = simulated(radio_bit_rate, our_bit_rate, 0.0, share)
+    states = ground.states
+    assert 2 <= len(states) <= 120.0 / STATE_S + 1.0 and states[0][0] < 30.0
+    assert {state.held for _, state in states} == {held}
+    assert all(SLOW_S < (state.set_s or 0.0) < 40.0 for _, state in states)
+    assert ("radio is full" in states[0][1].words) is (held is Held.BY_RADIO)
+    sizes = [size for _, size in down.carried]
+    assert STATE_BYTES * sizes.count(STATE_BYTES) < 0.03 * sum(sizes)
+
+
+@pytest.mark.parametrize(("radio_bit_rate", "share", "loss"), [(9_600.0, 0.4, 0.0), (57_600.0, 0.65, 0.1)])
+def test_where_sets_come_soon_there_is_no_word_of_the_radio(radio_bit_rate: float, share: float, loss: float) -> None:
+    ground, _ = simulated(radio_bit_rate, 9_600.0, loss, share)
+    assert ground.states == [] and ground.came
 
 
 def test_where_the_radio_is_idle_sets_soon_come_at_the_rate_that_is_allowed() -> None:

@@ -25,6 +25,7 @@ class Tunnel:
         self.received: list[tuple[Peer, bytes]] = []
         self.ready: list[tuple[Peer, bytes]] = []
         self.ground_stations = (255, 255)
+        self.free_percent = -1
 
     def receive(self, ground: Peer, payload: bytes) -> None:
         self.received.append((ground, payload))
@@ -35,6 +36,9 @@ class Tunnel:
 
     def know_ground_stations(self, low: int, high: int) -> None:
         self.ground_stations = low, high
+
+    def note_radio(self, free_percent: int) -> None:
+        self.free_percent = free_percent
 
 
 @pytest.fixture
@@ -62,6 +66,11 @@ def parameter(name: str, value: float) -> Any:
 def test_a_packet_for_us_is_passed_on_whole_with_its_sender(passage: Passage, tunnel: Tunnel, payload: bytes) -> None:
     passage.receive(received(tunnelled(SYSTEM, COMPONENT, payload)), SYSTEM)
     assert tunnel.received == [(Peer(245, 25), payload)]
+
+
+def test_what_a_radio_on_the_line_reports_of_its_buffer_is_noted(passage: Passage, tunnel: Tunnel) -> None:
+    passage.receive(received(mavlink.MAVLink_radio_status_message(180, 170, 12, 60, 61, 3, 0), 51, 68), SYSTEM)
+    assert tunnel.free_percent == 12
 
 
 def test_what_is_for_others_or_of_another_kind_is_passed_over(passage: Passage, tunnel: Tunnel) -> None:
