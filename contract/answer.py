@@ -138,7 +138,6 @@ class Fix:
 
     @property
     def status(self) -> Status:
-        """Always OK."""
         return Status.OK
 
     @property
@@ -203,7 +202,6 @@ class Refusal:
 
     @property
     def reason(self) -> str:
-        """The sentence that goes with the status."""
         return self.detail or EXPLANATIONS[self.status]
 
     def to_text(self) -> str:

@@ -183,7 +183,6 @@ class Camera:
 
     @property
     def focal_px(self) -> float:
-        """Geometric mean of both focal lengths."""
         return float(np.sqrt(self.fx_px * self.fy_px))
 
     @cached_property

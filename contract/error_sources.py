@@ -51,7 +51,6 @@ class About:
 
     @property
     def in_full(self) -> str:
-        """The advice with its reason."""
         return f"{self.advice}{self.more}"
 
 

@@ -131,5 +131,4 @@ class FeatureSet:
 
     @property
     def is_ok(self) -> bool:
-        """Whether this set can answer clicks."""
         return self.status is Status.OK

@@ -26,7 +26,6 @@ class Entry(Generic[T]):
 
     @property
     def is_ok(self) -> bool:
-        """Whether the set answers clicks."""
         return self.status is Status.OK
 
 
@@ -121,7 +120,6 @@ class History(Generic[T]):
         return _item(self.newest_entry())
 
     def frame(self, frame: int) -> T | None:
-        """The item of a frame."""
         return _item(self.entry(frame))
 
     def nearest(self, unix_s: float) -> T | None:

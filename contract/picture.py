@@ -28,12 +28,10 @@ class ImageFormat(Enum):
 
     @property
     def code(self) -> int:
-        """Its number on the wire."""
         return list(ImageFormat).index(self) + 1
 
     @property
     def media_type(self) -> str:
-        """As HTTP names it."""
         return f"image/{self.value}"
 
 
@@ -52,7 +50,6 @@ class LinkPicture:
 
     @property
     def media_type(self) -> str:
-        """As HTTP names it."""
         return self.format.media_type
 
 

@@ -85,7 +85,6 @@ class SpotReport:
     vehicle: str = ""
 
     def to_json(self) -> str:
-        """One line."""
         return json.dumps(
             {
                 "vehicle": self.vehicle or None, "frame": self.frame, "time_utc": time_utc(self.capture_unix_ns),

@@ -119,11 +119,9 @@ class SupervisedThread:
         return not self.is_alive()
 
     def is_alive(self) -> bool:
-        """Whether it has begun and not ended."""
         return self._thread is not None and self._thread.is_alive()
 
     def beat(self) -> None:
-        """A heartbeat."""
         self._beat_s = self._monotonic_s()
 
     def is_set(self) -> bool:
@@ -142,7 +140,6 @@ class SupervisedThread:
 
     @property
     def heartbeat_age_s(self) -> float:
-        """Seconds since the last heartbeat."""
         return 0.0 if self._is_waiting else max(self._monotonic_s() - self._beat_s, 0.0)
 
     @property

@@ -48,7 +48,6 @@ class Course:
 
     @property
     def is_moving(self) -> bool:
-        """Whether it is not at rest."""
         return self.course_deg is not None
 
     def to_text(self) -> str:
@@ -61,7 +60,6 @@ class Course:
         )
 
     def to_dict(self) -> dict[str, object]:
-        """For JSON."""
         return {
             "is_moving": self.is_moving, "speed_m_s": rounded(self.speed_m_s),
             "sigma_speed_m_s": rounded(self.sigma_speed_m_s), "course_deg": rounded(self.course_deg),

@@ -28,7 +28,6 @@ class Moment:
 
     @classmethod
     def now(cls) -> Moment:
-        """This moment."""
         return cls(time.monotonic_ns(), time.time_ns())
 
 
@@ -127,7 +126,6 @@ class AircraftClock:
         return age_s if self.is_asked else age_s + abs(self.behind_s(now))
 
     def now_unix_ns(self, now: Moment) -> int:
-        """The time that the aircraft's clock shows."""
         return now.monotonic_ns - self._offset_at(now.monotonic_ns)
 
     def latest_unix_ns(self, now: Moment) -> int:

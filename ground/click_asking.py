@@ -33,7 +33,6 @@ class Asking:
         return True
 
     def packet(self, now_s: float) -> bytes:
-        """The question as it is sent now."""
         return encode_question(replace(self.question, waited_s=now_s - self._began_s))
 
     def is_over(self, now_s: float) -> bool:

@@ -74,7 +74,6 @@ class CotSender:
             raise LinkError(f"cannot send to {self._name}: {error.strerror or error}") from error
 
     def close(self) -> None:
-        """Close the connection."""
         if self._socket is not None:
             with contextlib.suppress(OSError):
                 self._socket.close()

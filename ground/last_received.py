@@ -42,5 +42,4 @@ class LastReceived(Generic[T]):
         return iter(self._held)
 
     def values(self) -> list[T]:
-        """All that is held."""
         return list(self._held.values())

@@ -102,7 +102,6 @@ class PictureCache:
             return self._pictures.get((vehicle, session, frame))
 
     def frames(self, vehicle: str, session: int) -> set[int]:
-        """The frames whose picture is here."""
         with self._lock:
             return {frame for name, of, frame in self._pictures if (name, of) == (vehicle, session)}
 

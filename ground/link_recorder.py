@@ -51,7 +51,6 @@ class LinkRecorder:
 
     @property
     def words(self) -> str:
-        """What was recorded so far."""
         with self._lock:
             left = [f"{self._left_out} messages of no session were left out"] if self._left_out else []
             found = ", ".join(sorted(str(f.path) for f in self._files.values()))

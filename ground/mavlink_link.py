@@ -109,7 +109,6 @@ class MavlinkLink:
         )
 
     def close(self) -> None:
-        """The end of it."""
         self._wire.close()
 
     def __enter__(self) -> Self:

@@ -48,7 +48,6 @@ class _Held:
 
     @property
     def is_ok(self) -> bool:
-        """Whether it answers clicks."""
         return self.status is Status.OK
 
 

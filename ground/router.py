@@ -132,7 +132,6 @@ class Router:
         self.fleet = fleet
 
     def close(self) -> None:
-        """Hang up on everybody."""
         self._session.close()
 
     def __enter__(self) -> Router:

@@ -41,7 +41,6 @@ class TrackPaths:
 
     @property
     def version(self) -> int:
-        """How many reports have come."""
         with self._lock:
             return self._version
 

@@ -30,21 +30,21 @@ class SetErrors(Protocol):
     """What two sets are compared by: a FeatureSet, or what is kept of one with a click."""
 
     @property
-    def session(self) -> int: ...  # noqa: D102
+    def session(self) -> int: ...
     @property
-    def capture_unix_ns(self) -> int: ...  # noqa: D102
+    def capture_unix_ns(self) -> int: ...
     @property
-    def camera_lat_deg(self) -> float: ...  # noqa: D102
+    def camera_lat_deg(self) -> float: ...
     @property
-    def camera_lon_deg(self) -> float: ...  # noqa: D102
+    def camera_lon_deg(self) -> float: ...
     @property
-    def camera_height_m(self) -> float: ...  # noqa: D102
+    def camera_height_m(self) -> float: ...
     @property
-    def R_enu_cam(self) -> Array: ...  # noqa: D102
+    def R_enu_cam(self) -> Array: ...
     @property
-    def common_cov(self) -> Array: ...  # noqa: D102
+    def common_cov(self) -> Array: ...
     @property
-    def shared(self) -> SharedErrors: ...  # noqa: D102
+    def shared(self) -> SharedErrors: ...
 
 
 def difference_covariance(one: FeatureSet, fix_one: Fix, two: FeatureSet, fix_two: Fix) -> Array:

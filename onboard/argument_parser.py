@@ -90,12 +90,10 @@ def finite(text: str) -> float:
 
 
 def seconds(text: str) -> float:
-    """At most a day."""
     return within(text, 0.0, 86400.0, "no number of seconds from 0 to 86400")
 
 
 def days(text: str) -> float:
-    """At most a century."""
     return within(text, ABOVE_0, 36500.0, "no number of days above 0, at most 36500")
 
 
@@ -121,7 +119,6 @@ def clicked(text: str) -> tuple[int, float, float]:
 
 
 def degrees_wide(text: str) -> float:
-    """Of a field of view."""
     return within(text, 5.0, 150.0, "no field of view from 5 to 150 degrees")
 
 
@@ -134,7 +131,6 @@ def angles(text: str) -> tuple[float, float, float]:
 
 
 def hours(text: str) -> float:
-    """Of a clock against UTC."""
     return within(text, -15.0, 15.0, "no number of hours from -15 to 15")
 
 

@@ -22,9 +22,7 @@ class ByteCursor:
         return self.payload[self.position - count : self.position]
 
     def unpack(self, layout: struct.Struct) -> tuple[Any, ...]:
-        """The next fields."""
         return layout.unpack(self.take(layout.size))
 
     def signed(self, count: int) -> int:
-        """The next little-endian two's complement integer."""
         return int.from_bytes(self.take(count), "little", signed=True)

@@ -67,5 +67,4 @@ class _Ring:
         return before, after
 
     def outline(self) -> Outline:
-        """What is left."""
         return tuple(point for point, gone in zip(self._points, self.is_gone, strict=True) if not gone)

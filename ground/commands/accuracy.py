@@ -59,7 +59,6 @@ class Compared:
 
     @property
     def is_inside(self) -> bool:
-        """Whether the stated ellipse held."""
         return self.radii <= 1.0
 
 

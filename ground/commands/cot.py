@@ -131,7 +131,6 @@ class _aircraft:  # noqa: N801  called like a function
                 time.sleep(0.05)
 
     def close(self) -> None:
-        """Leave the link."""
         if self._recording is None:
             self._cache.close()
 

@@ -101,7 +101,6 @@ def text_of(v: Vector) -> str:
 
 
 def vector_json(v: Vector) -> dict[str, float | None]:
-    """As the JSON has it."""
     return {name: None if value is None else round(value, 4) for name, value in vars(v).items()}
 
 

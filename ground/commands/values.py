@@ -52,12 +52,10 @@ def whole(text: str, what: str) -> int:
 
 
 def frame_number(text: str) -> int:
-    """A picture's."""
     return whole(text, "frame")
 
 
 def pin_number(text: str) -> int:
-    """A pin's."""
     return whole(text, "pin")
 
 

@@ -73,7 +73,6 @@ class Row:
         return json.dumps({k: round(v, digits.get(k, 3)) if isinstance(v, float) else v for k, v in vars(self).items()})
 
     def cells(self) -> tuple[str, ...]:
-        """For the table."""
         return (
             one_line(self.vehicle), one_line(self.state), "-" if self.age_s is None else span(self.age_s),
             "-" if self.rate_hz is None else f"{self.rate_hz:.1f}/s",

@@ -45,7 +45,6 @@ def _seconds(value_deg: float, digits: int, letters: str, decimals: int) -> str:
 
 
 def _padded(value: float, decimals: int) -> str:
-    """Two digits before the point."""
     return f"{value:0{3 + decimals if decimals else 2}.{decimals}f}"
 
 
@@ -158,7 +157,6 @@ class Projection(Grid):
         self._area = crs.area_of_use
 
     def of(self, mark: Mark) -> Projected:
-        """Of a mark with a position."""
         return self.project(*mark.position)
 
     def project(self, lat_deg: float, lon_deg: float) -> Projected:

@@ -53,7 +53,6 @@ class Mark:
 
     @property
     def is_placed(self) -> bool:
-        """Whether there is a position."""
         return self.lat_deg is not None and self.lon_deg is not None
 
     @property

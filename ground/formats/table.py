@@ -36,7 +36,6 @@ _COLUMN_OF = {alias: name for name, aliases in _ALIASES.items() for alias in (na
 
 
 def header(grid: Grid | None = None) -> str:
-    """The first line."""
     return _line([*COLUMNS, *(_GRID if grid is not None else ())])
 
 
@@ -60,7 +59,6 @@ def row(mark: Mark, grid: Grid | None = None) -> str:
 
 
 def write(marks: Sequence[Mark], grid: Grid | None = None) -> str:
-    """With a header."""
     return header(grid) + "".join(row(mark, grid) for mark in marks)
 
 

@@ -96,7 +96,6 @@ class PinFile(PinTables):
         return self._db is not None and self._db.in_transaction
 
     def rows(self, statement: str, *values: object) -> list[tuple[Any, ...]]:
-        """The rows that a statement gives."""
         with self._lock, self._errors_explained():
             if self._db is None:
                 raise InputError(f"pins {self.name}: closed")

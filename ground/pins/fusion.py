@@ -75,7 +75,6 @@ class Contradiction:
 
     @property
     def reason(self) -> str:
-        """One line."""
         return (
             f"its {len(self.answers)} clicks contradict each other: they are up to {self.apart_m:.1f} m apart, "
             "more than their errors explain; remove the wrong one, or make two pins"

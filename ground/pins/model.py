@@ -211,7 +211,6 @@ class PinClick:
         )  # fmt: skip
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON objects and lists."""
         return {
             "id": self.id,
             "lat_deg": self.lat_deg,
@@ -272,7 +271,6 @@ class Pin:
         return max((c.capture_unix_ns for c in self.clicks if c.capture_unix_ns is not None), default=None)
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON objects and lists."""
         return {
             "id": self.id,
             "number": self.number,
@@ -322,7 +320,6 @@ class Tie:
     id: str = field(default_factory=lambda: uuid.uuid4().hex)
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON objects and lists."""
         return {
             "id": self.id,
             "click": self.click.to_dict(),

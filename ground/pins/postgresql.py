@@ -90,7 +90,6 @@ class PinDatabase(PinTables):
         return self._db is not None and self._db.info.transaction_status.name in ("ACTIVE", "INTRANS", "INERROR")
 
     def rows(self, statement: str, *values: object) -> list[tuple[Any, ...]]:
-        """The rows that a statement gives."""
         with self._lock, self._errors_explained():
             cursor = self._connected().execute(statement.replace("?", "%s"), values or None)
             return cursor.fetchall() if cursor.description else []

@@ -78,19 +78,15 @@ class Reader:
         return float(value)
 
     def latitude(self, name: str) -> float:
-        """Degrees."""
         return self.number(name, -90.0, 90.0)
 
     def longitude(self, name: str) -> float:
-        """Degrees."""
         return self.number(name, -180.0, 180.0)
 
     def height(self, name: str) -> float:
-        """Metres."""
         return self.number(name, -12_000.0, 100_000.0)
 
     def pixel(self, name: str) -> float:
-        """A column or a row."""
         return self.number(name, -1e5, 1e5)
 
     def list(self, name: str, most: int) -> list[Any]:

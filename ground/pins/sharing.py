@@ -144,7 +144,6 @@ class PinSharing:
 
     @property
     def state(self) -> Shared:
-        """The current state."""
         with self._lock:
             servers = list(self._servers.values())
             return Shared(

@@ -68,7 +68,6 @@ class PinStore:
 
     @property
     def revision(self) -> int:
-        """Grows with each change."""
         with self._file.reading():
             return self._file.value("revision")
 

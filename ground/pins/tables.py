@@ -58,16 +58,13 @@ class PinTables(abc.ABC):
         """One statement for each of many rows of values."""
 
     def value(self, key: str) -> int:
-        """One number of the store's own."""
         return int(self.rows("SELECT value FROM meta WHERE key = ?", key)[0][0])
 
     def bump(self, key: str) -> None:
-        """One more."""
         self.rows("UPDATE meta SET value = value + 1 WHERE key = ?", key)
 
     @contextlib.contextmanager
     def reading(self) -> Iterator[None]:
-        """No other thread in between."""
         with self._lock:
             yield
 
@@ -85,7 +82,6 @@ class PinTables(abc.ABC):
                 raise
 
     def json(self, text: str) -> Any:
-        """A document of the store's."""
         try:
             return json.loads(text)
         except (ValueError, RecursionError) as error:

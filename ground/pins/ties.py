@@ -36,7 +36,6 @@ class Judgement:
 
     @property
     def is_accepted(self) -> bool:
-        """Whether it may take part."""
         return exceeded_with(self.chi2, self.freedom) >= CONTRADICTION
 
 

@@ -86,7 +86,6 @@ class SeenGround:
 
     @property
     def pictures(self) -> int:
-        """How many pictures have seen something."""
         return self._pictures.counted + sum(len(p.cells) > 0 for p in self._pending.values())
 
     def tiles(self) -> list[tuple[int, int]]:
@@ -107,7 +106,6 @@ class SeenGround:
         return out
 
     def all_tiles(self) -> Iterator[tuple[tuple[int, int], Tile]]:
-        """Every tile that holds something."""
         for at in self.tiles():
             found = self.tile(at)
             if found is not None:

@@ -78,7 +78,6 @@ class FoundThing:
         return content
 
     def to_json(self) -> str:
-        """One line."""
         return json.dumps(self.to_dict())
 
     def to_text(self) -> str:

@@ -51,7 +51,6 @@ class _Thing:
 
     @property
     def last(self) -> Session:
-        """Whose spot was the newest."""
         return self.spots[-1].vehicle, self.spots[-1].session
 
     @property

@@ -46,19 +46,16 @@ class ReceivedSpots:
 
     @property
     def version(self) -> int:
-        """How many reports have come."""
         with self._lock:
             return self._version
 
     @property
     def unplaced(self) -> int:
-        """Spots that had no place."""
         with self._lock:
             return self._merger.unplaced
 
     @property
     def pictures(self) -> int:
-        """Pictures whose spots were taken."""
         with self._lock:
             return self._merger.pictures
 

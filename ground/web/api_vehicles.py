@@ -130,7 +130,6 @@ def vehicles_router(context: ServerContext) -> APIRouter:
 
 
 def row_json(row: FrameRow) -> dict[str, Any]:
-    """A row of the list of pictures."""
     return {
         "session": row.session,
         "frame": row.frame,

@@ -17,5 +17,4 @@ def open_in_browser(link: str) -> None:
 
 
 def has_screen() -> bool:
-    """Whether a graphical browser can show anything."""
     return sys.platform in ("darwin", "win32") or any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))

@@ -71,7 +71,6 @@ class ServerContext:
         return f"[{','.join(texts)}]"
 
     def ties_json(self) -> list[dict[str, Any]]:
-        """All ties."""
         return [tie_json(tie) for tie in self.store.ties()]
 
     def pin(self, pin_id: str) -> Pin:

@@ -19,7 +19,6 @@ class Hub:
         self._loop: asyncio.AbstractEventLoop | None = None
 
     def start(self) -> None:
-        """Store the running loop."""
         self._loop = asyncio.get_running_loop()
 
     def __len__(self) -> int:
@@ -34,7 +33,6 @@ class Hub:
         return queue
 
     def leave(self, queue: asyncio.Queue[str]) -> None:
-        """The browser is gone."""
         self._queues.discard(queue)
 
     def send(self, event: dict[str, Any] | str) -> None:

@@ -193,7 +193,6 @@ def gated(listening: socket.socket, gate: Gate) -> Listener:
 
 
 def protocol_of(gate: Gate) -> type[asyncio.Protocol]:
-    """The protocol class for one server."""
     return type("GatedProtocol", (GatedProtocol,), {"gate": gate})
 
 

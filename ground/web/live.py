@@ -106,7 +106,6 @@ class LiveSource:
         self._refill = Refill(self.vehicles, self._newest, self._has, self._ask_at)
 
     def vehicles(self) -> list[str]:
-        """The vehicles of which something was received."""
         with self._lock:
             return sorted(self._received)
 

@@ -160,5 +160,4 @@ def _nothing(name: str) -> JSONResponse:
 
 
 def _problem(status: int, words: str) -> JSONResponse:
-    """As the standard's exception schema has it."""
     return JSONResponse({"code": str(status), "description": words}, status_code=status)

@@ -10,7 +10,6 @@ from ground.pins.model import Pin, PinClick, Tie
 
 
 def pin_json(pin: Pin, fused: Fused) -> dict[str, Any]:
-    """A pin with where it is."""
     return {
         "id": pin.id,
         "number": pin.number,
@@ -28,7 +27,6 @@ def pin_json(pin: Pin, fused: Fused) -> dict[str, Any]:
 
 
 def tie_json(tie: Tie) -> dict[str, Any]:
-    """A tie."""
     return {
         "id": tie.id,
         "name": tie.name,

@@ -45,7 +45,6 @@ class RecordedSource:
         return self._recording.vehicles
 
     def version(self, vehicle: str) -> int:
-        """Nothing changes."""
         return 0
 
     def frames(self, vehicle: str, newest: int | None = None) -> list[FrameRow]:
@@ -82,7 +81,6 @@ class RecordedSource:
         return self._with_picture[vehicle]
 
     def age_s(self, feature_set: FeatureSet) -> float | None:
-        """Against the vehicle's newest picture."""
         return self._recording.age_s(feature_set)
 
     def report(self, vehicle: str) -> VehicleReport:

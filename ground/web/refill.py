@@ -67,7 +67,6 @@ class Refill:
             return
 
     def close(self) -> None:
-        """Ask no more."""
         self._thread.close()
 
     def _task(self, vehicle: str) -> _Task | None:

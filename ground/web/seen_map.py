@@ -34,7 +34,6 @@ class SeenMap:
         self._area = (-1, 0.0, 0.0)  # version, when computed, m2
 
     def begin(self) -> None:
-        """From now on it is counted."""
         with self._lock:
             if self._thread is None:
                 self._thread = WatchedThread("counting of what was seen", self.count, PERIOD_S)
@@ -65,7 +64,6 @@ class SeenMap:
                     self._seen.add(found)
 
     def state(self) -> dict[str, object]:
-        """For the legend."""
         with self._lock:
             seen, (version, at_s, m2) = self._seen, self._area
             if version != seen.version and (time.monotonic() - at_s > AREA_EVERY_S or not self._ahead):

@@ -48,7 +48,6 @@ class Tiles:
     bounds: Bounds | None = None  # of what there are tiles of; None: not known here
 
     def to_dict(self) -> dict[str, Any]:
-        """For the page."""
         return {
             "kind": self.kind, "url": self.url, "format": self.format, "max_zoom": self.max_zoom,
             "attribution": self.attribution, "min_zoom": self.min_zoom, "bounds": self.bounds,

@@ -65,7 +65,6 @@ class FileFootage:
         self._thread.start()
 
     def has(self, session: int, frame: int) -> bool:
-        """Whether its frame was found."""
         return (session, frame) in self._times_s
 
     def picture(self, session: int, frame: int) -> bytes | None:

@@ -41,7 +41,6 @@ class VideoFrame:
 
     @property
     def size(self) -> int:
-        """Bytes in memory."""
         return len(self.jpeg) + self.strength.nbytes
 
 
@@ -66,7 +65,6 @@ class Ring:
                 self._bytes -= self._frames.popleft().size
 
     def restart(self) -> None:
-        """The video was opened again."""
         with self._lock:
             self._frames.clear()
             self._bytes = 0

@@ -32,7 +32,6 @@ class Watch:
         )
 
     def close(self) -> None:
-        """End all."""
         for thread in self._threads:
             thread.close()
 

@@ -42,7 +42,6 @@ class WithVideo:
         self.tracks, self.spots = inner.tracks, inner.spots
 
     def vehicles(self) -> list[str]:
-        """The other's."""
         return self._inner.vehicles()
 
     def version(self, vehicle: str) -> int:
@@ -58,7 +57,6 @@ class WithVideo:
         return [replace(row, has_picture=row.has_picture or has(row.session, row.frame)) for row in rows]
 
     def feature_set(self, vehicle: str, session: int | None, frame: int) -> FeatureSet | None:
-        """The other's."""
         return self._inner.feature_set(vehicle, session, frame)
 
     def picture(self, vehicle: str, session: int | None, frame: int) -> Picture | None:
@@ -73,19 +71,15 @@ class WithVideo:
         return None if content is None else Picture(content, "image/jpeg", is_unchanging=False)
 
     def age_s(self, feature_set: FeatureSet) -> float | None:
-        """The other's."""
         return self._inner.age_s(feature_set)
 
     def report(self, vehicle: str) -> VehicleReport:
-        """The other's."""
         return self._inner.report(vehicle)
 
     def unfollowed(self, vehicle: str) -> str:
-        """The other's."""
         return self._inner.unfollowed(vehicle)
 
     def follow(self, vehicle: str, request: TrackRequest) -> dict[str, object]:
-        """The other's."""
         return self._inner.follow(vehicle, request)
 
     def damage(self) -> list[str]:

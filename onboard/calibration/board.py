@@ -68,7 +68,6 @@ class Board:
 
     @property
     def corners(self) -> int:
-        """Inner corners of the whole board."""
         return (self.columns - 1) * (self.rows - 1)
 
     def points_m(self) -> NDArray[np.float64]:

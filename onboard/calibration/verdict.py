@@ -34,7 +34,6 @@ class Verdict:
 
     @property
     def is_good(self) -> bool:
-        """Whether to fly with it."""
         return not self.complaints
 
     def __str__(self) -> str:

@@ -178,7 +178,6 @@ class Whole:
 
     @property
     def is_whole(self) -> bool:
-        """Of a picture that needs others."""
         return self._broken_ns is None
 
     def see(self, is_gap: bool, is_key: bool, now_ns: int) -> bool:

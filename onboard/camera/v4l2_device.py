@@ -49,11 +49,9 @@ class Sizes:
 
     @property
     def is_known(self) -> bool:
-        """Some drivers do not report it."""
         return bool(self.discrete_px) or self.most_px != (0, 0)
 
     def has(self, size_px: tuple[int, int]) -> bool:
-        """Whether a size is among them."""
         return size_px in self.discrete_px or all(
             low <= n <= high and (n - low) % max(step, 1) == 0
             for n, low, high, step in zip(size_px, self.least_px, self.most_px, self.step_px, strict=True)
@@ -100,29 +98,29 @@ class Buffer:
 class Device(Protocol):
     """What the camera asks of a device; the real one is `V4l2Device`."""
 
-    def card(self) -> Card: ...  # noqa: D102
+    def card(self) -> Card: ...
 
-    def formats(self) -> list[str]: ...  # noqa: D102
+    def formats(self) -> list[str]: ...
 
-    def sizes(self, fourcc: str) -> Sizes: ...  # noqa: D102
+    def sizes(self, fourcc: str) -> Sizes: ...
 
-    def rates_hz(self, fourcc: str, size_px: tuple[int, int]) -> list[float]: ...  # noqa: D102
+    def rates_hz(self, fourcc: str, size_px: tuple[int, int]) -> list[float]: ...
 
-    def set_format(self, fourcc: str, size_px: tuple[int, int]) -> Granted: ...  # noqa: D102
+    def set_format(self, fourcc: str, size_px: tuple[int, int]) -> Granted: ...
 
-    def set_rate_hz(self, rate_hz: float) -> float | None: ...  # noqa: D102
+    def set_rate_hz(self, rate_hz: float) -> float | None: ...
 
-    def controls(self) -> list[Control]: ...  # noqa: D102
+    def controls(self) -> list[Control]: ...
 
-    def get_control(self, control: Control) -> int: ...  # noqa: D102
+    def get_control(self, control: Control) -> int: ...
 
-    def set_control(self, control: Control, value: int) -> None: ...  # noqa: D102
+    def set_control(self, control: Control, value: int) -> None: ...
 
-    def start(self) -> None: ...  # noqa: D102
+    def start(self) -> None: ...
 
-    def take(self, timeout_s: float) -> Buffer | None: ...  # noqa: D102
+    def take(self, timeout_s: float) -> Buffer | None: ...
 
-    def close(self) -> None: ...  # noqa: D102
+    def close(self) -> None: ...
 
 
 class V4l2Device:
@@ -172,7 +170,6 @@ class V4l2Device:
             yield
 
     def card(self) -> Card:
-        """Who the device is."""
         return self._card
 
     def formats(self) -> list[str]:

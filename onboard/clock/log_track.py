@@ -46,7 +46,6 @@ class LogTrack:
 
     @property
     def end_ns(self) -> int:
-        """The last sample's moment."""
         return self.start_ns + STEP_NS * (len(self.height_m) - 1)
 
     def with_positions(self, age_s: float) -> LogTrack:

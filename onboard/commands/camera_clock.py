@@ -81,7 +81,6 @@ def clock_of(
 
 
 def clock_row(clock: Clock) -> Row:
-    """The lines that are printed of it."""
     return (
         "clock",
         f"the camera's is {-clock.offset_s:+.2f} +-{clock.sigma_s:.2f} s ahead of the log's, by {clock.text}",

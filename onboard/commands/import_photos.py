@@ -89,7 +89,6 @@ class _Times:
         return WHOLE_SECOND_S if self.is_whole else SIGMA_STAMP_S
 
     def moved(self, offset_s: float) -> _Times:
-        """By a clock's offset."""
         return replace(self, stamps_ns=[stamp_ns + round(offset_s * 1e9) for stamp_ns in self.stamps_ns])
 
 

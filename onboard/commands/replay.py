@@ -301,15 +301,12 @@ class WholeRecording:
                 self._part.unlink(missing_ok=True)
 
     def event(self, arrival_ns: int, event: Event) -> None:
-        """Record an event."""
         self._recorder.write_event(event, arrival_ns)
 
     def tracks(self, reports: list[TrackReport]) -> None:
-        """Record reports of things that are followed."""
         self._recorder.write_tracks(reports[0].capture_unix_ns, b"".join(encode_track(report) for report in reports))
 
     def spots(self, report: SpotReport) -> None:
-        """Record the spots of a picture."""
         self._recorder.write_spots(report.capture_unix_ns, encode_spots(report))
 
     def second_picture(self, frame: Frame) -> None:
@@ -317,5 +314,4 @@ class WholeRecording:
         self._recorder.write_second_picture(frame)
 
     def feature_set(self, output: FeatureSet) -> None:
-        """Record a set."""
         self._recorder.write_set(output)

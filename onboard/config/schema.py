@@ -486,7 +486,6 @@ def _section_of(info: FieldInfo) -> type[Section] | None:
 
 
 def key_table() -> dict[str, FieldInfo]:
-    """Every key under its dotted name."""
     return {f"{name}.{key}": info for name, model in _sections() for key, info in _keys(model).items()}
 
 

@@ -43,5 +43,4 @@ class SecondCamera(Section):
 
     @property
     def is_live(self) -> bool:
-        """Whether the daemon opens one."""
         return self.device is not None

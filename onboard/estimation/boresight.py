@@ -137,12 +137,10 @@ class Alignment:
 
     @property
     def platform(self) -> PlatformEstimate:
-        """The newest posterior."""
         return self._estimates[-1]
 
     @property
     def updates(self) -> int:
-        """How many windows have updated the estimate."""
         return len(self._estimates) - 1
 
     def prior_for(self, start_ns: int) -> PlatformEstimate:

@@ -68,7 +68,6 @@ class Problem:
 
     @cached_property
     def blocks(self) -> tuple[ImageBlock, ...]:
-        """States that move image coordinates."""
         return blocks_of(self.layout, self.camera, self.camera_taken, self.sweep)
 
     @cached_property

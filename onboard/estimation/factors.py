@@ -64,12 +64,10 @@ class Layout:
 
     @property
     def size(self) -> int:
-        """All columns."""
         return self.keyframes * (6 + self.own) + STATES + self.camera_states + PLANE
 
     @property
     def own(self) -> int:
-        """How many image states each picture has."""
         return sum(OWN_STATES[name] for name in self.blocks)
 
     @property

@@ -144,7 +144,6 @@ def innovations(
 
 
 def contradictions(found: list[Innovation]) -> list[Innovation]:
-    """Those that exceed their limits."""
     return [i for i in found if i.excess() > 1.0]
 
 

@@ -39,7 +39,6 @@ class Solved:
 
     @property
     def frames(self) -> tuple[int, ...]:
-        """Of its keyframes."""
         return tuple(k.frame for k in self.keyframes)
 
     @property

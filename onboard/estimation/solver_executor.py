@@ -23,7 +23,6 @@ class Done:
     processor_s: float
 
     def result(self) -> Done:
-        """It is there."""
         return self
 
 
@@ -45,7 +44,6 @@ class Inline:
     """Works at once and in the same thread."""
 
     def submit(self, fn: Callable[[Request], Done], request: Request, /) -> Promise:
-        """Do it now."""
         return fn(request)
 
 

@@ -46,7 +46,6 @@ class WindowProblem:
 
     @property
     def layout(self) -> Layout:
-        """Columns of the adjustment."""
         return self.unweighed.layout
 
     def problem(self, noise: Noise) -> Problem:

@@ -61,7 +61,6 @@ class GpsQuality:
 
     @property
     def has_fix(self) -> bool:
-        """Whether it claims a usable position."""
         return self.fix_type > 2
 
 

@@ -16,7 +16,6 @@ class WaitingPictures:
         return len(self._held)
 
     def event(self, event: Event) -> None:
-        """Keep a picture that has an image."""
         if isinstance(event, Frame) and event.image is not None:
             self._held[event.index] = event
             if len(self._held) > self._most:

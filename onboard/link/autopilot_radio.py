@@ -63,11 +63,9 @@ class AutopilotRadio:
 
     @property
     def thread(self) -> SupervisedThread:
-        """That of the clicks."""
         return self.clicks.thread
 
     def close(self) -> None:
-        """No more answers."""
         self.clicks.close()
 
     def charge(self, wire_bytes: int) -> None:

@@ -26,7 +26,6 @@ class PendingPictures:
             del self._taken_ns[next(iter(self._taken_ns))]
 
     def made(self, frame: int) -> None:
-        """Its set is there."""
         self._taken_ns.pop(frame, None)
 
     def nearest(self, unix_s: float) -> int | None:

@@ -461,7 +461,6 @@ class Publisher:
 
 
 def not_followed(_: str) -> tuple[bytes, bool]:
-    """What an aircraft answers that follows nothing."""
     return refused(
         "disabled",
         "this aircraft does not follow things: for its next flight set tracks.enabled = true in its configuration",

@@ -52,7 +52,6 @@ class RateFollower:
         self._has_halved = False  # since the last report
 
     def bit_rate(self, now_s: float) -> float:
-        """What may be sent now."""
         return self._rate if now_s - self._reported_s < SILENT_S else 0.0
 
     @property

@@ -51,7 +51,6 @@ class SetFeed:
         self.sent = 0  # sets, to their last piece
 
     def offer(self, offered: Offer[bytes]) -> None:
-        """A set that was made."""
         with self._lock:
             self._selection.offer(offered)
 

@@ -90,7 +90,6 @@ class GpsIntegrity:
         self._had_fix |= quality.has_fix
 
     def note_position(self, stamp_ns: int, position: Position) -> None:
-        """The filter's position."""
         if self.positions.insert(stamp_ns, position) == len(self.positions.stamps_ns) - 1:
             self.jumps.append(self.positions, self.claims(stamp_ns))
 

@@ -61,7 +61,6 @@ class Series(Generic[T]):
         return Status.STARTING if self.stamps_ns and moment_ns < self.stamps_ns[0] else Status.UNSYNCHRONISED
 
     def seconds(self, left: int, right: int) -> float:
-        """From one value to another."""
         return (self.stamps_ns[right] - self.stamps_ns[left]) / 1e9
 
     def share(self, left: int, right: int, moment_ns: int) -> float:

@@ -273,7 +273,6 @@ class Pipeline:
         return self.window.times_s()[0]
 
     def _moment_ns(self, stamp_ns: int) -> int:
-        """A picture's moment on the autopilot's clock."""
         return stamp_ns + round(self._offset_s * 1e9)
 
     def _state_at(self, stamp_ns: int, stamp_sigma_s: float = 0.0) -> NavState | Status:

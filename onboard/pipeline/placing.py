@@ -25,7 +25,6 @@ class Placing:
         self.watches: list[Callable[[Placed], None]] = []  # shown every picture as it is placed
 
     def forget(self) -> None:
-        """What comes shares nothing with what was."""
         self._newest = self._settled = None
 
     def place(self, window: Window, solved: Solved, record: Record, picture: Picture) -> FeatureSet | Status:

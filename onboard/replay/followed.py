@@ -54,7 +54,6 @@ class Followed:
             self._fail(click)
 
     def event(self, arrival_ns: int, event: Event) -> None:
-        """Keep a picture until its set comes."""
         self._held.event(event)
 
     def feature_set(self, output: FeatureSet) -> None:

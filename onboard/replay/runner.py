@@ -108,7 +108,6 @@ class Flight:
 
     @property
     def stamps_ns(self) -> Sequence[int]:
-        """Of the pictures."""
         return self.frames.stamps_ns
 
     @property

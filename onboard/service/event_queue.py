@@ -71,13 +71,11 @@ class EventQueue:
 
     @property
     def is_over(self) -> bool:
-        """Closed and emptied."""
         with self._changed:
             return self._is_closed and not self._entries
 
     @property
     def dropped(self) -> int:
-        """Pictures dropped so far."""
         return self._dropped
 
     def dropped_within(self, seconds: float) -> bool:

@@ -37,7 +37,6 @@ class LiveRates:
         self.delay_s = 0.0
 
     def picture_came(self, now_ns: int) -> None:
-        """The camera has delivered one."""
         with self._lock:
             self._newest_came_ns = now_ns
             self._came_ns.append(now_ns)

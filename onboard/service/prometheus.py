@@ -216,7 +216,6 @@ class PrometheusServer:
         return int(self._server.server_port)
 
     def show(self, report: Report) -> None:
-        """Serve this from now on."""
         self._report = report
 
     def collect(self) -> Iterator[Metric]:

@@ -25,7 +25,6 @@ class Notifier:
         self._send(f"RELOADING=1\nMONOTONIC_USEC={time.monotonic_ns() // 1000}")
 
     def stopping(self) -> None:
-        """The end has begun."""
         self._send("STOPPING=1")
 
     def status(self, text: str) -> None:

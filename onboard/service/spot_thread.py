@@ -46,7 +46,6 @@ class SpotThread(WokenWork):
         self._has_spots = False
 
     def event(self, arrival_ns: int, event: Event) -> None:
-        """Keep a picture until its set comes."""
         with self._changed:
             self._looking.event(event)
 

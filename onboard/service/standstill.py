@@ -26,7 +26,6 @@ class Standstill:
         self._is_held = False
 
     def note(self, event: Event) -> None:
-        """Take one event."""
         if isinstance(event, FilterStatus):
             self._is_held = event.is_at_rest
         elif isinstance(event, PositionFix):

@@ -19,7 +19,6 @@ class Supervisor:
         self._threads = threads
 
     def reports(self) -> tuple[ThreadReport, ...]:
-        """How each is."""
         return tuple(thread.report() for thread in self._threads())
 
     @property

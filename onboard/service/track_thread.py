@@ -62,7 +62,6 @@ class TrackThread(WokenWork):
         self._picture_s = self._reported_s = monotonic_s()
 
     def event(self, arrival_ns: int, event: Event) -> None:
-        """Keep a picture until its set comes."""
         self._held.event(event)
 
     def feature_set(self, output: FeatureSet) -> None:

@@ -110,7 +110,6 @@ class BracketedPictures:
 
 
 def seconds(one: FeatureSet, two: FeatureSet) -> float:
-    """From one set's capture to another's."""
     return (two.capture_unix_ns - one.capture_unix_ns) / 1e9
 
 

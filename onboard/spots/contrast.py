@@ -35,7 +35,6 @@ class Contrast:
 
     @property
     def size_px(self) -> tuple[int, int]:
-        """Of the picture as it is here."""
         return self.values.shape[1], self.values.shape[0]
 
 

@@ -19,7 +19,6 @@ class DuePictures:
         self._stamp_ns = 0
 
     def event(self, event: Event) -> None:
-        """Keep a picture until its set comes."""
         if isinstance(event, Frame) and event.counts is not None:
             self._held.event(event)
 

@@ -57,7 +57,6 @@ def ground_scale(its_set: FeatureSet, shape: tuple[int, int]) -> GroundScale | N
 
 
 def usual_scale(camera: Camera, shape: tuple[int, int]) -> GroundScale:
-    """Where no set has come yet."""
     return GroundScale(np.full(shape, USUAL_M**2 / (camera.fx_px * camera.fy_px)))
 
 

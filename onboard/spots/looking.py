@@ -65,11 +65,9 @@ class OneCamera:
         self.begin_again()
 
     def begin_again(self) -> None:
-        """Forget what was learned of the ground."""
         self._book = SpotBook(self._config.vehicle.id, self._config.spots, self._config.thermal)
 
     def event(self, event: Event) -> None:
-        """Keep a picture until its set comes."""
         self._due.event(event)
 
     def feature_set(self, output: FeatureSet) -> list[Look]:

@@ -107,7 +107,6 @@ class MountEstimate:
         return thing
 
     def _near(self, now_s: float, one: Sighting) -> list[_Thing]:
-        """The things that it may be of."""
         return [thing for thing in self._things if self._distance(now_s, one, thing.newest) < GATE]
 
     def _distance(self, now_s: float, one: Sighting, view: _View) -> float:

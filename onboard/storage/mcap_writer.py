@@ -101,7 +101,6 @@ class SessionRecorder:
 
     @property
     def size_bytes(self) -> int:
-        """How large the file is by now."""
         return 0 if self._stream is None else self._stream.tell()
 
     def write_event(self, event: Event, arrival_ns: int | None = None) -> None:

@@ -54,7 +54,6 @@ class Gap:
         return " and ".join([", ".join(named[:-1]), named[-1]] if len(named) > 1 else named)
 
     def to_json(self) -> bytes:
-        """As it is recorded."""
         return json.dumps(asdict(self), separators=(",", ":")).encode()
 
     @classmethod
@@ -141,6 +140,5 @@ class RecordingQueue:
 
     @property
     def is_over(self) -> bool:
-        """Closed and emptied."""
         with self._changed:
             return self._is_closed and not self._waiting and self._gap is None

@@ -327,7 +327,6 @@ class Recorded:
 
 
 def _held_bytes(frame: Frame) -> int:
-    """Of a picture in memory."""
     return sum(0 if part is None else part.nbytes for part in (frame.image, frame.counts))
 
 

@@ -46,7 +46,6 @@ class GpsClock:
 
     @property
     def is_set(self) -> bool:
-        """Whether any report was taken."""
         return self._origin_ns is not None
 
     def add(self, boot_ns: int, unix_ns: int) -> None:

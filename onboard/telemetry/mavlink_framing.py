@@ -45,7 +45,6 @@ class SequenceGaps:
         return newest is not None and (sequence - newest - 1) % 256 < 128
 
     def has_received(self, system: int, component: int) -> bool:
-        """Whether packets of this sender have come."""
         return (system, component) in self._newest
 
     def restart(self) -> None:

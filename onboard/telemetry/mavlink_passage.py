@@ -49,7 +49,6 @@ class Passage:
             self._tunnel.charge(FRAME_BYTES + self._signature_bytes + message.unpacker.size)
 
     def due(self, now_ns: int, system: int) -> list[Any]:
-        """Messages to be sent now."""
         return self._ground_stations.due(now_ns, system) + [
             tunnelled(ground.system, ground.component, payload) for ground, payload in self._tunnel.due()
         ]

@@ -101,7 +101,6 @@ class MavsdkEnd:
             raise self._broken
 
     def lost(self, system: int) -> int | None:
-        """mavsdk hands over messages without their numbers."""
         return None
 
     def complaint(self) -> str:
@@ -147,7 +146,6 @@ class MavsdkEnd:
             self._waiting.append((now_ns, made))
 
     def _write(self, data: bytes) -> None:
-        """On mavsdk's thread."""
         with self._lock:
             if self._wire is None or self._broken is not None or self._is_needless(data):
                 return

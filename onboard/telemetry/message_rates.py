@@ -75,7 +75,6 @@ class _Want:
         return self._comes_below(FEWER)
 
     def _comes_below(self, share: float) -> bool:
-        """The first watch began before the grant."""
         return self.watches >= 2 and self.measured_hz is not None and self.measured_hz < share * self.granted_hz
 
     @property
@@ -205,7 +204,6 @@ class RateRequests:
             want.due_ns = now_ns
 
     def seen(self, name: str) -> None:
-        """Count a message of the autopilot."""
         for want in self.wants:
             if want.name == name:
                 want.count += 1

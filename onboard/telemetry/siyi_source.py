@@ -150,5 +150,4 @@ class WithGimbal:
         return replace(health, figures=figures)
 
     def send_text(self, severity: Severity, text: str) -> None:
-        """To the pilot."""
         self._telemetry.send_text(severity, text)

@@ -44,7 +44,6 @@ class TlogWriter:
             self._end(error.strerror or str(error))
 
     def close(self) -> None:
-        """The end of the session."""
         if self._stream is not None:
             stream, self._stream = self._stream, None
             try:

@@ -65,7 +65,6 @@ class _Topic:
         return len(self.boot_us)
 
     def is_whole(self, name: str) -> bool:
-        """Whether a column holds whole numbers."""
         return name in self._columns and bool(np.issubdtype(self._columns[name].dtype, np.integer))
 
     def column(self, *names: str, scales: tuple[float, ...] = (), unknown: float = math.nan) -> Array:

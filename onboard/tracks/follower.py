@@ -53,7 +53,6 @@ class Observation:
 
     @property
     def is_seen(self) -> bool:
-        """Whether it was found."""
         return self.unseen is Unseen.NONE
 
 
@@ -103,7 +102,6 @@ class Follower:
 
     @property
     def size_px(self) -> float:
-        """How large it is taken to be."""
         return self._size
 
     @property

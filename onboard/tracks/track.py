@@ -61,7 +61,6 @@ class Track:
 
     @property
     def is_lost(self) -> bool:
-        """Whether it has ended."""
         return self.state is TrackState.LOST
 
     def motion(self) -> Motion | None:

@@ -1,0 +1,79 @@
+"""A docstring begins with a verb or a noun phrase, and every public function of more than one statement has one.
+
+"Return the age", "The age", and not "How old it is": a clause without a head states neither what a name is nor what it
+does.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PARTS = {
+    "contract": 0.25, "ground": 0.25, "onboard": 0.25, "simulation": 0.3, "demo": 0.3, "benchmarks": 0.3,
+    "packaging": 0.3,
+}  # fmt: skip
+"""The largest share of docstrings that may begin with such a clause; quotations and names are some of them."""
+CLAUSE = {
+    "as", "at", "by", "does", "for", "from", "how", "if", "in", "is", "it", "of", "on", "that", "those", "to", "what",
+    "when", "where", "whether", "which", "who", "whose", "why", "with",
+}  # fmt: skip
+Function = ast.FunctionDef | ast.AsyncFunctionDef
+
+
+def definitions(part: str) -> Iterator[tuple[Path, ast.AST]]:
+    for path in sorted((ROOT / part).rglob("*.py")):
+        yield from ((path, node) for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+
+
+def begins_with_a_clause(docstring: str) -> bool:
+    first = re.match(r"[A-Za-z]+", docstring)
+    return first is not None and first.group().lower() in CLAUSE
+
+
+@pytest.mark.parametrize("part", PARTS)
+def test_docstrings_begin_with_a_verb_or_a_noun_phrase(part: str) -> None:
+    found = [
+        (path, node, text)
+        for path, node in definitions(part)
+        if isinstance(node, Function | ast.ClassDef | ast.Module) and (text := ast.get_docstring(node))
+    ]
+    clauses = [
+        f"{path.relative_to(ROOT)}:{getattr(node, 'lineno', 1)}: {text.splitlines()[0]}"
+        for path, node, text in found
+        if begins_with_a_clause(text)
+    ]
+    assert len(clauses) <= PARTS[part] * len(found), "\n".join(clauses)
+
+
+def public_functions(tree: ast.AST) -> Iterator[Function]:
+    """Functions of a module and methods of its classes, not those within functions."""
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, Function) and not node.name.startswith("_"):
+            yield node
+        elif isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+            yield from public_functions(node)
+
+
+@pytest.mark.parametrize("part", ["contract", "ground", "onboard", "simulation"])
+def test_a_public_function_of_more_than_one_statement_has_a_docstring(part: str) -> None:
+    silent = [
+        f"{path.relative_to(ROOT)}:{node.lineno}: {node.name}"
+        for path, tree in definitions(part) if isinstance(tree, ast.Module)
+        for node in public_functions(tree) if len(node.body) > 1 and ast.get_docstring(node) is None
+    ]  # fmt: skip
+    assert not silent, "\n".join(silent)
+
+
+@pytest.mark.parametrize(
+    ("docstring", "is_clause"),
+    [("Whether it is closed.", True), ("What it holds.", True), ("Return whether it is closed.", False),
+     ("The state.", False), ("Offset of it.", False), ("`what` it is.", False)],
+)  # fmt: skip
+def test_a_clause_is_known_by_its_first_word(docstring: str, is_clause: bool) -> None:
+    assert begins_with_a_clause(docstring) is is_clause
