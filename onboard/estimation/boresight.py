@@ -93,7 +93,7 @@ class PlatformEstimate:
 
 @dataclass(frozen=True, eq=False)
 class Unconfirmed:
-    """What would be learned if anything confirmed it, and which of its states (B,) are outside."""
+    """An estimate that awaits confirmation by another window, and a mask (B,) of its states outside the prior."""
 
     found: PlatformEstimate
     outside: Mask
@@ -163,11 +163,14 @@ class Alignment:
         return True
 
     def _repeats(self, earlier: PlatformEstimate, start_ns: int, end_ns: int) -> bool:
-        """Whether a window may share data, or an error of the attitude, with an earlier estimate. (10.2)"""
+        """Return whether a window may share data, or an error of the attitude, with an earlier estimate. (10.2)"""
         return earlier.end_ns > 0 and (start_ns < earlier.end_ns or end_ns - earlier.end_ns < self._spacing_ns)
 
     def _is_confirmed(self, start_ns: int, new: Unconfirmed) -> bool:
-        """Whether an earlier window that this one does not repeat was outside likewise. (10.7)"""
+        """Return whether an earlier window that this one does not repeat was outside by the same. (10.7)
+
+        Keep this one for later windows to confirm, unless it repeats the one that is kept.
+        """
         held = self.unconfirmed
         if held is not None and self._repeats(held.found, start_ns, new.found.end_ns):
             return False  # neither a confirmation nor anything new

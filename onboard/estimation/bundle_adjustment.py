@@ -206,7 +206,10 @@ def _residuals(problem: Problem, state: State, scale: float | None) -> _Residual
 
 
 def _moved(problem: Problem, state: State, predicted: Array, depth: Array) -> tuple[Array, Array | None]:
-    """How rows read in turn and image states move coordinates (K, 2, P), and by all blocks' states (K, M, 2, P)."""
+    """The displacement (K, 2, P) of coordinates by rows read in turn and by image states.
+
+    Second: its derivative (K, M, 2, P) by the states of all blocks; None without blocks.
+    """
     moved, by_block = np.zeros_like(predicted), None
     if problem.sweep is not None:
         moved += problem.sweep.readout_s * problem.sweep.by_readout(state.R_cam_enu, predicted, depth)
@@ -217,9 +220,10 @@ def _moved(problem: Problem, state: State, predicted: Array, depth: Array) -> tu
 
 
 def _stretched(problem: Problem, at: _Residuals, *by: Array) -> list[Array]:
-    """What the coordinates move by (K, M, 2, P) where they are moved, and not the same everywhere. (19.1)
+    """Correct Jacobians (K, M, 2, P) for a displacement that differs over the picture. (19.1)
 
-    Differences: without them focal length, lens and poses, which trade, crawl along their valley.
+    Its gradient is taken by differences. Without it the solver converges slowly: focal length, lens and poses can
+    compensate one another.
     """
     if np.abs(at.moved).max() < UNMOVED:
         return list(by)
@@ -245,7 +249,7 @@ def _ground(problem: Problem, state: State) -> tuple[Array, Array, Array]:
 
 
 def parallax_of(centres_enu_m: Array, reference_enu_m: Array, plane: Array) -> float:
-    """How much (rad/m, about) a metre of height over a plane moves in pictures from views (K, 3). (5.9)"""
+    """The parallax (rad/m, about) of a metre of height over a plane in pictures from views (K, 3). (5.9)"""
     return _parallax(centres_enu_m, reference_enu_m, plane)[0]
 
 

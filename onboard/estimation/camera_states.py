@@ -1,8 +1,8 @@
-"""What a camera file may be wrong about: focal length, principal point, radial distortion, estimated in flight.
+"""Errors of a camera file, estimated in flight: focal length, principal point, radial distortion.
 
-Five states, each counted from the camera file: the focal length's relative error, the principal point's shift (in focal
-lengths, x and y), and what k1 and k2 are larger by, (15.1) and (15.2). A sixth, where it is not known for sure, is what
-the readout of the rows takes longer than `camera.readout_s` (s), see `rolling_shutter`.
+Five states, each relative to the camera file: the focal length's relative error, the principal point's shift (in focal
+lengths, x and y), and the errors of k1 and k2, (15.1) and (15.2). If the readout of the rows is not known for sure, its
+excess over `camera.readout_s` (s) is a sixth, see `rolling_shutter`.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def corrected(camera: Camera, states: Array) -> Camera:
 
 
 def readout_s(states: Array) -> float:
-    """What the states (0,), (5,) or (6,) give for the readout, s beyond what is configured."""
+    """The readout's excess over the configured one, s, by the states (0,), (5,) or (6,)."""
     return float(states[READOUT]) if len(states) > READOUT else 0.0
 
 
@@ -68,10 +68,9 @@ def taken(states: Array) -> Array:
 
 
 def by_states(camera: Camera, x: Array, y: Array) -> Array:
-    """How normalised image coordinates (any shape ...) of fixed pixels move with the states: (..., 5, 2), as (15.2).
+    """The derivative (K, 5, 2, P) of normalised image coordinates (K, P) of fixed pixels by the states. (15.2)
 
-    `camera` is the one that they were computed with. The result has its two new axes first but one: x of shape (K, P)
-    gives (K, 5, 2, P).
+    `camera` is the one that they were computed with.
     """
     there, along, cross = camera.linearised(np.stack([x.ravel(), y.ravel()]))
     there, along = (each.reshape(2, *x.shape).swapaxes(0, 1) for each in (there, along))  # (K, 2, P)

@@ -1,8 +1,8 @@
-"""How well a window's orientations fit the autopilot's attitudes at other time offsets than the one it was solved at.
+"""The fit of a window's orientations to the autopilot's attitudes at other time offsets than it was solved at.
 
-(5.7)'s derivative, taken at the wrong offset, leads to a wrong minimum, or claims what is not there; the profile over
-whole offsets needs none. It decides where the next solve begins, bounds what a window may teach, and gives the offset
-itself where it is wider than the derivative holds. Equations (10.3) to (10.6) of docs/mathematics.md.
+(5.7)'s derivative, taken at the wrong offset, leads to a wrong minimum or to a sigma that is too small; a profile over
+whole offsets needs no derivative. It decides where the next solve begins, limits what a window may teach, and gives the
+offset itself where it is wider than the derivative holds. Equations (10.3) to (10.6) of docs/mathematics.md.
 """
 
 from __future__ import annotations
@@ -42,14 +42,14 @@ class ClockProfile:
     compared_s: tuple[float, float] = (-np.inf, np.inf)  # the reach
 
     def rejects(self, offset_s: float) -> bool:
-        """Whether this offset cannot be right, and another is known to be; nothing is known of one out of reach."""
+        """Return whether this offset is excluded by others that fit; False for one outside the compared range."""
         if self.kept_s is None or not self.compared_s[0] <= offset_s <= self.compared_s[1]:
             return False
         return not self.kept_s[0] - NEAR_S < offset_s < self.kept_s[1] + NEAR_S
 
     @property
     def is_wide(self) -> bool:
-        """Whether offsets fit about as well over which a window's derivative does not hold."""
+        """True if the offsets that fit about equally well span more than a window's derivative holds over."""
         return self.precision < NEAR_S**-2
 
 

@@ -1,4 +1,4 @@
-"""Which source a window's errors come from: its covariance as a sum over priors and measurements. Section 20.
+"""The sources of a window's errors: its covariance as a sum over priors and measurements. Section 20.
 
 The optimum of least squares moves linearly with every measurement's error, so its covariance is a sum of one term a
 source, (20.1): exact, and for any linear function of the window's camera side. Errors that one prior holds together

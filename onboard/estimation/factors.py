@@ -43,7 +43,7 @@ class Layout:
 
     @property
     def shared(self) -> slice:
-        """What all pictures share: the platform's and the camera's states (`platform_states`), and the plane's."""
+        """Columns shared by all pictures: the platform's and the camera's (`platform_states`), and the plane's."""
         first = 6 * self.keyframes
         return slice(first, first + STATES + self.camera_states + PLANE)
 
@@ -76,7 +76,7 @@ class Layout:
         return np.arange(self.shared.stop, self.size).reshape(self.keyframes, self.own)
 
     def part(self, block: str) -> slice:
-        """Which of a picture's own image states are a block's; an empty slice where there is no such block."""
+        """The slice of a picture's own image states that is this block's; empty if there is no such block."""
         if block not in self.blocks:
             return slice(0, 0)
         first = sum(OWN_STATES[name] for name in self.blocks[: self.blocks.index(block)])
@@ -117,7 +117,7 @@ class State:
 
     @property
     def depths_m(self) -> Array:
-        """Of every point along every view's axis (K, P)."""
+        """The depth (K, P) of every point along every view's axis."""
         offset_m = self.points_enu_m - self.centres_enu_m[:, None]
         out: Array = np.einsum("kj,kpj->kp", self.R_cam_enu[:, 2], offset_m)
         return out
@@ -150,7 +150,7 @@ class State:
         return replace(self, own=np.pad(others, ((0, 0), (0, OWN_STATES[block]))))
 
     def antennas_enu_m(self, lever_cam_m: Array) -> tuple[Array, Array]:
-        """Where the autopilot's reference points are (K, 3), and their derivative by the views' rotation (K, 3, 3).
+        """The autopilot's reference points (K, 3), and their derivative by the views' rotations (K, 3, 3).
 
         `lever_cam_m` (3,) leads from that point to the camera, camera axes. (5.14)
         """
@@ -173,9 +173,9 @@ def reprojection(R_cam_enu: Array, centres_enu_m: Array, points_enu_m: Array, xy
 
 
 def reprojection_jacobians(R_cam_enu: Array, predicted: Array, depth: Array, scale: Array) -> tuple[Array, Array]:
-    """Of (5.1), times `scale` (K, P): by the view's rotation and by the point, both (K, 3, 2, P). (5.2), (5.3).
+    """Derivatives of (5.1), times `scale` (K, P): by the view's rotation and by the point, both (K, 3, 2, P).
 
-    By the view's centre it is minus that by the point.
+    (5.2), (5.3). The derivative by the view's centre is minus that by the point.
     """
     x, y = predicted[:, 0], predicted[:, 1]
     by_point = R_cam_enu[:, 2, :, None, None] * predicted[:, None]
@@ -220,7 +220,7 @@ def persistent_sigma(stamps_s: Array, sigma_gauss_markov: Array, time_constant_s
 
 @dataclass(frozen=True, eq=False)
 class SensorPrior(ABC):
-    """What one sensor measured, n times: residuals (3n,), axis by axis, each axis whitened by itself."""
+    """One sensor's n measurements: residuals (3n,), axis by axis, each axis whitened by itself."""
 
     sensors: ClassVar[tuple[str, str, str]]  # the row of `sensor_table` that each axis belongs to
     layout: Layout
@@ -385,5 +385,5 @@ Prior = SensorPrior | SharedPrior | RangePrior
 
 
 def of_sensors(priors: Iterable[Prior]) -> list[SensorPrior]:
-    """Those by which a sensor measured something: not the path in place of an attitude."""
+    """The priors that stem from a sensor's measurements, without the path that stands in for an attitude."""
     return [p for p in priors if isinstance(p, SensorPrior) and p.parts]

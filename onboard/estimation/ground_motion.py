@@ -28,7 +28,7 @@ MOTION_PER_SLIP = 3.0
 
 @dataclass(frozen=True, eq=False)
 class GroundMotion:
-    """How far ground that moves by one sigma, east and north, moves a window's camera side: (D, 2) and its rate.
+    """The displacement (D, 2), and its rate, of a window's camera side by ground moving east and north by one sigma.
 
     Points and poses are those of the instant a picture was taken, so the effect is linear in that instant.
     """
@@ -38,7 +38,7 @@ class GroundMotion:
     per_s: Array  # (D, 2)
 
     def covariance(self, stamp_ns: int) -> Array:
-        """What the ground's motion adds to the camera side's covariance (D, D) for a picture of that time. (6.10)"""
+        """The ground motion's share of the camera side's covariance (D, D) for a picture of that time. (6.10)"""
         gain = self.at_epoch + self.per_s * ((stamp_ns - self.epoch_ns) / 1e9)
         return gain @ gain.T
 
@@ -56,7 +56,7 @@ def ground_sigma_m_s(keyframes: Sequence[Keyframe], depth_m: float) -> float:
 def ground_motion(
     keyframes: Sequence[Keyframe], priors: list[Prior], state: State, covariance: Array, sigma_m_s: float
 ) -> GroundMotion:
-    """What ground moving by `sigma_m_s` does to a solution with this camera-side covariance (D, D). Equation (6.9).
+    """The effect of ground moving by `sigma_m_s` on a solution with this camera-side covariance (D, D). (6.9)
 
     Pictures show the aircraft's motion over the ground, position and velocity that over the Earth: for both residuals
     the ground's motion acts as a measurement error.

@@ -1,4 +1,4 @@
-"""How much the ground slopes where a window is, from what windows elsewhere have found. Section 14 of mathematics.md.
+"""The prior of the ground's slope under a window, from what windows elsewhere found. Section 14 of mathematics.md.
 
 The slope across a straight track shows in nothing but an attitude, so "the ground is level" is a prior. Where a turn or
 a leg across has seen the slope nearby, the prior is that slope, and narrow; where nothing has, it is level ground with
@@ -45,9 +45,9 @@ class SlopePrior:
 
 @dataclass(frozen=True, eq=False)
 class SlopeSeen:
-    """What one window alone shows of the slope (2,) at a place (2,), ENU, with covariance (2, 2).
+    """The slope (2,) at a place (2,), ENU, by one window alone, with covariance (2, 2).
 
-    `variance`: of such a slope, by the variogram of its ground.
+    `variance`: the variance of slopes on such ground, by its variogram.
     """
 
     end_ns: int
@@ -80,7 +80,7 @@ class GroundSlope:
         return True
 
     def prior_for(self, start_ns: int, place_enu_m: Array) -> SlopePrior:
-        """For a window that begins at `start_ns` near a place (2,): by windows that ended before. (14.2) to (14.4)"""
+        """The prior for a window near a place (2,), by windows that ended before `start_ns`. (14.2) to (14.4)"""
         seen = [s for s in self._seen if s.end_ns < start_ns]
         variance = self._variance(seen)
         if not seen:
@@ -105,7 +105,7 @@ class GroundSlope:
         return SlopePrior(mean, np.einsum("l,lij->ij", weight, each))
 
     def _variance(self, ended: list[SlopeSeen]) -> float:
-        """Of a slope: as windows that have `ended`, and the newest, ask for; at least the declared. (14.3)"""
+        """A slope's variance by the windows that have `ended` and the newest one; at least the declared. (14.3)"""
         seen = ended if self.newest is None or self.newest in ended else [*ended, self.newest]
         declared, scale = self.sigma**2, 1.0
         found = np.array([s.variance for s in seen]) / declared

@@ -1,4 +1,4 @@
-"""How much the slope across a window's track varies, if ground varies across a track as it does along it.
+"""The variance of the slope across a window's track, if ground varies across a track as it does along it.
 
 Along a straight track the ground's heights are seen, across it only the sum of slope and roll. The variogram of the
 heights along it gives the variance of any slope, without a model of the covariance. Section 14 of mathematics.md.
@@ -43,7 +43,7 @@ def slope_variance(points_enu_m: Array, variance_m2: Array, along: Array) -> flo
 
 
 def _belong(places_m: Array, height_m: Array) -> NDArray[np.bool_]:
-    """Which points (P,) lie where the others do: no wrong track's."""
+    """A mask (P,) of the points that lie near the others and their plane: points of wrong tracks do not."""
     distance = np.linalg.norm(places_m, axis=1)
     near = distance <= FARTHEST * middle(distance)
     plane, spread_m = fit_plane(np.column_stack([places_m, height_m])[near])

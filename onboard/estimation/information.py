@@ -1,7 +1,7 @@
-"""What a window itself adds to what was known of some states: subtracted from a posterior, weakened, added to a prior.
+"""A window's own information about some states: taken out of a posterior, weakened, added to another prior.
 
-By independent directions in units of what was known: states' units differ by orders of magnitude, and what is rounding
-in one must not look like data in another. A direction on which the window has no information is none.
+It is held along independent directions, in units of the prior's sigmas: the states' units differ by orders of
+magnitude, and rounding in one must not look like data in another. Directions without information are left out.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ LEAST = 1e-6  # of the given precision: less is rounding
 
 @dataclass(frozen=True, eq=False)
 class Information:
-    """Of B states in D directions: the precision is `directions @ diag(precisions) @ directions.T`."""
+    """Information about B states along D directions: a precision of `directions @ diag(precisions) @ directions.T`."""
 
     mean: Array  # (B,) that was known before
     precisions: Array  # (D,)
@@ -27,7 +27,7 @@ class Information:
 
     @classmethod
     def gained(cls, mean: Array, covariance: Array, known: Array, known_covariance: Array) -> Information:
-        """A posterior's, mean (B,) and covariance (B, B), less the prior that it was found under."""
+        """The information of a posterior, mean (B,) and covariance (B, B), less that of its prior (`known`)."""
         scale, precision = np.sqrt(np.diag(known_covariance)), np.linalg.inv(covariance)
         beyond = (precision - np.linalg.inv(known_covariance)) * np.outer(scale, scale)
         values, basis = np.linalg.eigh(beyond)

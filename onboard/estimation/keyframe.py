@@ -1,4 +1,4 @@
-"""What one picture saw and where it was taken: the window's raw material."""
+"""One picture's observations and where it was taken: the window's raw material."""
 
 from __future__ import annotations
 

@@ -48,11 +48,11 @@ class Excess:
 
     @property
     def evidence(self) -> float:
-        """What is left of the gain after what chance is expected to make of it."""
+        """The gain less the one that chance alone is expected to give."""
         return self.gain - self.freedom
 
     def exceeds_chance(self, explained: float = 0.0) -> bool:
-        """Whether so many states of nothing would not fall by what something else has not `explained`. (19.3)"""
+        """Return whether the gain beyond what another hypothesis `explained` is too large for chance. (19.3)"""
         return self.gain - explained > float(chdtri(self.freedom, MOVED_BY_CHANCE))
 
 
@@ -97,7 +97,7 @@ def found(window: WindowProblem, weighed: Weighed) -> Outcome | None:
 
 
 def zoom_scores(window: WindowProblem, weighed: Weighed) -> tuple[Excess, Excess]:
-    """What focal lengths that part pictures, and one that all share, promise to explain: by the first step. (19.4)"""
+    """The expected excess of a focal length for each picture, and of one that all share, by the first step. (19.4)"""
     tried = window.with_block(ZOOM)
     state = weighed.solution.state.with_block(tried.layout, ZOOM)
     priors = [replace(p, layout=tried.layout) for p in weighed.problem.priors]
@@ -142,16 +142,16 @@ class Hypotheses:
         self.solved: dict[str, Solution] = {}
 
     def lens(self) -> tuple[Excess, float]:
-        """What the open lens explains that the camera file's does not, and the logarithm of its focal length."""
+        """The excess of the open lens over the camera file's, and the logarithm of its relative focal length."""
         gain = 2.0 * (self._closed.weighed(self._noise, self._first.state).solution.cost - self._lens.cost)
         return excess_of(gain, self._lens, len(OPEN_LENS)), float(self._lens.state.camera[FOCAL_LENGTH])
 
     def rows(self) -> Excess:
-        """What the rows' own states explain next to the lens."""
+        """The excess of the rows' own states, beyond the open lens."""
         return excess_of(2.0 * (self._lens.cost - self._none.cost), self._none, self._none.state.own.size)
 
     def without_attitude(self, state: State | None = None) -> Excess:
-        """What attitudes explain by being wrong; `state`: to begin from."""
+        """The excess of ignoring all attitudes; the adjustment begins from `state`."""
         factors = replace(self._noise.factors, groups=dict.fromkeys((TILT, HEADING), SET_ASIDE))
         noise = replace(self._noise, factors=factors)
         return self._explained(ATTITUDE, self._window.weighed(noise, state or self._none.state).solution, 3)
@@ -164,7 +164,10 @@ class Hypotheses:
         return self.without_attitude(replace(shifted, R_cam_enu=R, own=self._none.state.own))
 
     def with_block(self, block: str) -> Excess:
-        """What a block of image states explains; shifts only after attitudes, which they begin from."""
+        """The excess of a block of image states, 0 if their values are impossible.
+
+        `SHIFT` begins from the solution of `without_attitude`, which must have run before.
+        """
         tried = self._window.with_block(block)
         state = self._none.state.with_block(tried.layout, block)
         if block == SHIFT:
@@ -184,14 +187,14 @@ class Hypotheses:
         return replace(turned, R_cam_enu=R, own=own)
 
     def _explained(self, name: str, solution: Solution, states: int) -> Excess:
-        """By a hypothesis with so many states in each picture; image states are counted from the first picture's."""
+        """The excess of a hypothesis with so many states a picture; the first picture's image states are fixed."""
         self.solved[name] = solution
         pictures = self._window.layout.keyframes - (name != ATTITUDE)
         return excess_of(2.0 * (self._none.cost - solution.cost), solution, states * pictures)
 
 
 def _are_possible(window: WindowProblem, state: State) -> bool:
-    """Whether no image state is more than three sigmas from its prior."""
+    """Return whether every image state is within three sigmas of its prior."""
     blocks = window.unweighed.blocks
     return not any(b.sigma is not None and np.abs(b.values(state)).max() > SURE_SIGMAS * b.sigma for b in blocks)
 

@@ -1,4 +1,4 @@
-"""What is estimated of the platform and of its camera: one table, from which every place of a state follows.
+"""The states estimated of the platform and of its camera: one table, from which every state's index follows.
 
 Each quantity takes as many states as it has components, in the order of the table. A camera that is known for sure has
 none of its own, one whose rows' readout is known for sure has no last one.

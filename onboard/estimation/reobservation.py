@@ -28,7 +28,7 @@ MAX_RATIO = 30.0  # of one comparison's mean square, so that a single wrong wind
 
 @dataclass(frozen=True)
 class Agreement:
-    """How two windows see their common points: the normalised square of the seven differences, and how far apart."""
+    """The disagreement of two windows on their common points: chi-square of seven differences, and the shift."""
 
     chi2: float  # of PARAMETERS degrees of freedom if both covariances are true, (16.3)
     points: int
@@ -45,7 +45,7 @@ class RelativeVariance:
 
     @property
     def factor(self) -> float:
-        """At least 1."""
+        """The factor on variances, at least 1."""
         return max((PRIOR_COUNT + self.found) / (PRIOR_COUNT + self.expected), 1.0)
 
     @property

@@ -24,9 +24,9 @@ LEAST_READOUT_S = 0.005  # travel at 20 m/s moves the outer rows by 5 cm in it
 
 @dataclass(frozen=True, eq=False)
 class Moving:
-    """How one picture's camera moved while it was read.
+    """The camera's motion while one picture was read.
 
-    A rate that is noisy itself biases what is found of the readout towards 0, so such pictures teach nothing of it.
+    A noisy rate biases the estimated readout towards 0, so such pictures teach nothing of it.
     `plane_per_m` (3,): inverse depth a + b x + c y of the ground, as it is taken for before the window is solved.
     """
 
@@ -45,7 +45,10 @@ class Moving:
         return shutter.image_velocity(xy, w) * share[:, None]
 
     def for_ground(self, R_cam_enu: Array, readout_s: float, sigma_readout_s: float) -> RollingShutter:
-        """What the set of this picture carries of it. `sigma_readout_s`: beyond what its other errors hold."""
+        """The shutter fields published with this picture's set.
+
+        `sigma_readout_s`: one sigma of the readout beyond what the set's other errors hold.
+        """
         return RollingShutter(readout_s, self.rate_cam_rad_s, R_cam_enu @ self.velocity_enu_m_s, sigma_readout_s)
 
 

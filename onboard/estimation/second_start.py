@@ -92,7 +92,7 @@ def other_starts(request: Request, found: Outcome) -> Iterator[tuple[Keyframe, .
 
 
 def _is_far_from_sensors(found: Outcome, has_attitude: bool) -> bool:
-    """Whether a sensor's residuals are larger than chance has them in an accepted solution. (16.11)"""
+    """Return whether a sensor's residuals in an accepted solution are larger than chance explains. (16.11)"""
     if found.solved is None or found.weighed is None:
         return False
     for prior in found.weighed.problem.priors:
@@ -104,9 +104,10 @@ def _is_far_from_sensors(found: Outcome, has_attitude: bool) -> bool:
 
 
 def is_far_worse(found: Outcome, other: Request) -> bool:
-    """Whether the minimum next to another start is clearly the unlikelier one, under the noise that `found` has.
+    """Return whether the minimum reached from another start is clearly the less likely one, under `found`'s noise.
 
-    Not where none was reached from there, as in `likelier`.
+    False if none was reached from there, unless every keyframe has an attitude, as in `likelier`. True if the other
+    start cannot even be set up.
     """
     if found.solved is None or found.weighed is None:
         return False
@@ -120,11 +121,11 @@ def is_far_worse(found: Outcome, other: Request) -> bool:
 
 
 def likelier(request: Request, one: Outcome, two: Outcome) -> Outcome:
-    """Which of the outcomes from two starts stands: the clearly likelier one, accepted or not, or a refusal of both.
+    """Choose between the outcomes from two starts: the clearly likelier one, accepted or not, or a refusal of both.
 
-    If neither is, an accepted one stands against one that something contradicts, or that is known too badly and fits
-    worse by (16.8), not against one that has only not converged. What only the path's start finds, with nothing to be
-    compared with, needs an earlier window to confirm it: a path is no attitude.
+    If neither is clearly likelier, an accepted one is preferred to one that something contradicts, or that is known too
+    badly and fits worse by (16.8), but not to one that has only not converged. An outcome that only the path's start
+    finds, with nothing to compare it with, must be confirmed by an earlier window: a path is no attitude.
     """
     if two.weighed is None or (one.solved is None and two.solved is None):
         return one
@@ -155,7 +156,7 @@ def likelier(request: Request, one: Outcome, two: Outcome) -> Outcome:
 
 
 def _apart(first: Solution, second: Solution, accepted: Outcome) -> tuple[float, float]:
-    """How far apart two solutions of the same points have them, m and sigmas of the accepted one; medians."""
+    """Median distance between two solutions' points, in m and in sigmas of the accepted one."""
     solved = accepted.solved
     assert solved is not None
     at = solved.good
@@ -186,7 +187,7 @@ def _precision(problem: Problem) -> float:
 
 
 def _preferred(one: Solution, two: Solution, problem: Problem) -> int:
-    """Which of two minima of the same cost is clearly the likelier: 1, 2, or 0 where both fit. (16.8), (16.9)
+    """Return which of two minima of the same cost is clearly the likelier: 1, 2, or 0 if both fit. (16.8), (16.9)
 
     In units of the noise that the better one's residuals show, where they show more than was assumed.
     """
@@ -198,7 +199,7 @@ def _preferred(one: Solution, two: Solution, problem: Problem) -> int:
 
 
 def _gain(one: Solution, two: Solution, problem: Problem) -> tuple[float, float]:
-    """How much likelier the first is than the second, the ratio's logarithm; and the better one's noise, its unit."""
+    """The logarithm of the likelihood ratio of the first to the second, and the better one's noise, its unit."""
     scale = _noise_shown(one if one.cost < two.cost else two, problem)
     return (two.cost - one.cost) / scale, scale
 
@@ -243,7 +244,7 @@ def weakest_turn(solved: Solved) -> tuple[Array, float]:
 
 
 def heading_unknown(turn_deg: float) -> str:
-    """Why a window is refused whose rotation has so large a sigma, and what to do."""
+    """The reason for refusing a window whose rotation has so large a sigma, and what to do."""
     known = f"to {min(turn_deg, 180.0):.0f} degrees only"
     return f"heading hardly known: {known}, fly a straight leg, or send the attitude"
 

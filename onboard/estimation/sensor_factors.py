@@ -51,7 +51,7 @@ TERRAIN_SLOPE_SIGMA = 0.005  # of an elevation model over a window's few hundred
 
 @dataclass(frozen=True, eq=False)
 class Sensors:
-    """What a window's sensors measured at its K keyframes, and by what their residuals are weighted.
+    """The sensors' measurements at a window's K keyframes, and the weights of their residuals.
 
     `jitter_s`: one sigma of each picture's own stamp: white error wherever the vehicle moves or turns. (5.11)
     """
@@ -84,7 +84,7 @@ class Sensors:
 
     @cached_property
     def lever_cam_m(self) -> Array:
-        """From the autopilot's reference point to the camera, camera axes (3,)."""
+        """The lever arm (3,) from the autopilot's reference point to the camera, camera axes."""
         out: Array = self.R_body_cam.T @ np.array(self.config.mount.lever_arm_m)
         return out
 
@@ -113,7 +113,7 @@ class Sensors:
 
     @cached_property
     def _are_about(self) -> NDArray[np.bool_]:
-        """Which intervals between keyframes a filter has not forgotten at one's time, or soon begins: (K, K - 1)."""
+        """A mask (K, K - 1) of the intervals that end within a filter's memory before or after each keyframe."""
         return np.abs(self.stamps_s[1:] - self.stamps_s[:, None]) <= DYNAMIC_TIME_S
 
     def errors(

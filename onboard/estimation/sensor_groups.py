@@ -1,9 +1,9 @@
-"""Whether a sensor contradicts all the others in a window, and what it then counts for. Section 13, (13.3) to (13.5).
+"""Sensors that contradict all the others in a window, and the weight they then get. Section 13, (13.3) to (13.5).
 
 Variance components (`variance_components`) find errors that are larger than declared all along; a sensor that is
-suddenly wrong (a compass near metal, an attitude that jumps) is rare over minutes, and in its window it is everything.
-So each group of residuals is held against what all others make of it, its innovation. The group that contradicts them
-most counts with a variance that makes it consistent, in that window and, fading, in those after it.
+suddenly wrong (a compass near metal, an attitude that jumps) is rare over minutes but dominates its window. So each
+group of residuals is compared with what all others predict for it, its innovation. The group that contradicts them
+most is weighted with a variance that makes it consistent, in that window and, fading, in those after it.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class Failing:
         return {name: f.at(start_ns) for name, f in self.failures.items()}
 
     def fails_at(self, end_ns: int) -> bool:
-        """Whether any failed in the window that ended then."""
+        """Return whether any group failed in the window that ended then."""
         return any(f.last_ns == end_ns for f in self.failures.values())
 
     def after(self, start_ns: int, end_ns: int, failed: Mapping[str, float]) -> Failing:
@@ -69,7 +69,10 @@ class Failing:
 
 
 def _limit(states: int, count: float) -> float:
-    """What so many squares of one sigma exceed once in 1 / FALSE_ALARM, the variance known by so many measurements."""
+    """The limit that the sum of so many normalised squares exceeds by chance with probability FALSE_ALARM.
+
+    `count`: measurements that the variance is known by.
+    """
     if not np.isfinite(count):
         return float(chdtri(states, FALSE_ALARM))
     return states / float(fdtri(count, states, FALSE_ALARM))  # F's upper quantile
@@ -77,7 +80,7 @@ def _limit(states: int, count: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Innovation:
-    """What one group adds to a window beyond all the others, whitened by the group's own errors. Equation (13.3).
+    """One group's innovation: its residual against all the others, whitened by the group's own errors. (13.3)
 
     `residual` (n,); `predicted` (n, n), the covariance that the others leave it; `constant` (n, m) a constant error of
     each of its m axes. `count`: effective measurements that the group's own variance is known by.

@@ -1,8 +1,8 @@
-"""Which part of the errors of a window, or of a pose by sensors alone, others of the flight have too. (9.11), (9.12)
+"""The errors that a window, or a pose by sensors alone, has in common with others of the flight. (9.11), (9.12)
 
-Every slow error in a window's priors is one nuisance parameter that lasts: the Gauss-Markov errors of positions and of
-attitudes, the mount, the clock, the ground's slope. The columns below give how far one sigma of each moves the camera
-side; from them follows which part of the errors of two sets is the same.
+Every slow error in a window's priors is one nuisance parameter that persists: the Gauss-Markov errors of positions and
+of attitudes, the mount, the clock, the ground's slope. The columns below give how far one sigma of each moves the
+camera side; from them follows which part of the errors of two sets is the same.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 
 
 def shared_errors(config: Config, priors: list[Prior], state: State, covariance: Array) -> SharedErrors:
-    """How far one sigma of each nuisance parameter moves a window's camera side: `by_nuisance` (D, NUISANCES).
+    """The displacement of a window's camera side by one sigma of each nuisance parameter: `by_nuisance` (D, NUISANCES).
 
     `covariance` (D, D) is the camera side's own. A measurement error of v whitened sigmas moves the optimum by
     covariance @ J' v, (9.12).
@@ -53,7 +53,7 @@ def shared_errors(config: Config, priors: list[Prior], state: State, covariance:
 
 
 def _one_of(errors: Array, moved: NDArray[np.intp]) -> Array:
-    """Of several independent errors (D, n) with the same effect, that which sets share: the wire's single column (D,).
+    """Combine independent errors (D, n) of the same effect into the part that sets share, the wire's column (D,).
 
     Errors of time all move positions along the track, errors of heading all turn the views about the vertical. The
     combination that moves the states `moved` (K, m) most, on average over the K keyframes, is what sets share; the

@@ -79,7 +79,7 @@ class Window:
 
     @property
     def platform(self) -> PlatformEstimate:
-        """What is estimated of the platform by now, no delay surer than declared, (5.15)."""
+        """The newest estimate of the platform, with no delay surer than declared, (5.15)."""
         return with_delays_held_open(self.config, self.alignment.platform)
 
     def times_s(self) -> tuple[float, float]:
@@ -143,9 +143,10 @@ class Window:
         return nav.position_enu_m + (near.centre_enu_m - near.nav.position_enu_m)
 
     def pose_guess(self, seen: Observation, nav: NavState) -> Pose | None:
-        """Where a new view was taken from; None where nothing gives an orientation.
+        """A first pose of a new view; None where nothing gives an orientation.
 
-        From known points where there are enough, else from the autopilot, else from the newest keyframe.
+        The orientation comes from known points if there are enough, else from the autopilot, else from the newest
+        keyframe; the place is `position_guess`.
         """
         centre = self.position_guess(nav)
         if self.solved is not None:
@@ -215,7 +216,7 @@ class Window:
         return self._request
 
     def _place_enu_m(self) -> Array:
-        """Where the window is, level (2,)."""
+        """The window's mean position, east and north (2,)."""
         out: Array = np.mean([k.nav.position_enu_m[:2] for k in self.keyframes], axis=0)
         return out
 
@@ -312,12 +313,12 @@ class Window:
 
     @property
     def readout(self) -> tuple[float, float]:
-        """How long the rows take, as estimated now, and one sigma (s); 0 and 0 of a global shutter."""
+        """The readout time of the rows, as estimated now, and one sigma (s); 0 and 0 of a global shutter."""
         camera, platform = self.config.camera, self.alignment.platform
         return camera.readout_s + readout_s(platform.mean[STATES:]), readout_s(platform.sigma[STATES:])
 
     def _see_with_estimate(self) -> None:
-        """Where the estimate of the camera has moved, make the keyframes' observations again. Equation (15.2)."""
+        """Compute the keyframes' observations again if the estimate of the camera has changed. Equation (15.2)."""
         states = self.alignment.platform.mean[STATES:]
         if np.array_equal(states, self.camera_taken):
             return

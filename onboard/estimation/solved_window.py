@@ -1,4 +1,4 @@
-"""What a solved window is."""
+"""The solved window, which poses, depths and covariances are taken from."""
 
 from __future__ import annotations
 
@@ -48,11 +48,11 @@ class Solved:
         return first / 1e9, last / 1e9
 
     def nearest(self, stamp_ns: int) -> int:
-        """Which keyframe was taken nearest to a moment."""
+        """The index of the keyframe taken nearest to a moment."""
         return int(np.argmin([abs(k.nav.stamp_ns - stamp_ns) for k in self.keyframes]))
 
     def covariance_at(self, stamp_ns: int) -> Array:
-        """Of the camera side (D, D), for a picture of that time. (6.10)"""
+        """The camera side's covariance (D, D) for a picture of that time. (6.10)"""
         return self.solution.covariance + self.ground_motion.covariance(stamp_ns)
 
     def rows(self, ids: Ids) -> tuple[NDArray[np.intp], Mask]:

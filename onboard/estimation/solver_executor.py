@@ -1,4 +1,4 @@
-"""Where a window is adjusted: at once, or in a thread of its own. The pipeline knows only this interface.
+"""Adjustment of windows, at once or in a thread of its own. The pipeline knows only this interface.
 
 `concurrent.futures.ThreadPoolExecutor(1)` is a `Worker` as it stands; `Inline` needs no thread. The result does not
 depend on the choice, because a request never changes and the pipeline adopts an outcome at a time that the data define.
@@ -27,7 +27,7 @@ class Done:
 
 
 class Promise(Protocol):
-    """What is being worked on."""
+    """The result of a call that is being worked on."""
 
     def result(self) -> Done:
         """Wait for it; raises what the work raised."""

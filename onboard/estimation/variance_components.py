@@ -1,9 +1,9 @@
-"""How large the sensors' errors are, estimated from the flight's own residuals. Section 13 of docs/mathematics.md.
+"""Variances of the sensors' errors, estimated from the flight's own residuals. Section 13 of docs/mathematics.md.
 
 Every sensor's covariance is a sum of parts (a Gauss-Markov and a white part, `sensor_table`), each a known correlation
 times an unknown variance. After a window is solved, each part's share of the residuals is compared with what that part
-should have left in them, (13.1), which is Helmert's estimate of variance components. The configuration's sigmas are
-where it starts. Only what a receiver or filter claims of its own errors is a floor as well.
+should have left in them, (13.1), which is Helmert's estimate of variance components. The estimate starts from the
+configured sigmas; only what a receiver or filter claims of its own errors is a floor as well.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ MEMORY_S = 240.0  # over which what was seen is forgotten: compasses and winds c
 
 @dataclass(frozen=True)
 class Evidence:
-    """What residuals show of each part: squares found, in configured variances, and how many were expected, (13.1)."""
+    """The sum of squares found of each part in residuals, in configured variances, and the expected one, (13.1)."""
 
     found: Mapping[str, float] = field(default_factory=dict)
     expected: Mapping[str, float] = field(default_factory=dict)

@@ -1,6 +1,6 @@
-"""Whether an adjusted window may be accepted: each test by itself, in sigmas, with its reason in words.
+"""Tests of an adjusted window's acceptance: each by itself, in sigmas, with its reason in words.
 
-`by_itself` looks at one window: its depths, sensors, the known ground. `by_memory` holds it against what earlier
+`by_itself` looks at one window: its depths, sensors, the known ground. `by_memory` compares it with what earlier
 windows of the flight found of the same points, (16.3). A window that fails is refused as a poor fit.
 """
 
@@ -43,13 +43,13 @@ REMEMBERED = 14  # windows: a few more than the keyframes of one, so that one wi
 
 @dataclass(frozen=True, eq=False)
 class Memory:
-    """What a flight's published windows leave for judging the next: the newest of them, and their honesty."""
+    """The newest published windows, which the next is judged by, and the factor on their relative variances."""
 
     windows: tuple[Solved, ...] = ()
     relative: RelativeVariance = field(default_factory=RelativeVariance)
 
     def without_windows(self) -> Memory:
-        """After a new start: no point of earlier windows is seen again."""
+        """The memory after a new start: no point of earlier windows is seen again."""
         return Memory((), self.relative)
 
     def compared(self, solved: Solved) -> Agreement | None:
@@ -60,7 +60,7 @@ class Memory:
         return None if earlier is None else agreement(earlier, solved)
 
     def after(self, solved: Solved, agreed: Agreement | None, is_accepted: bool) -> Memory:
-        """With one more window; of one that is not accepted only the disagreement is kept."""
+        """The memory with one more window; of one that is not accepted only the disagreement is kept."""
         stamp_ns, share = solved.keyframes[-1].nav.stamp_ns, 1.0 / len(solved.keyframes)
         relative = self.relative if agreed is None else self.relative.with_agreement(agreed, stamp_ns, share)
         if not is_accepted:
@@ -85,8 +85,9 @@ def by_itself(
     good: Mask,
     before: Sequence[Prior],
 ) -> str | None:
-    """What speaks against a solution; None if nothing does. `kept` (K, P) weights, `good` (P,) points, `before`: the
-    sensors as weighted by earlier windows.
+    """The reason for refusing a solution; None if there is none.
+
+    `kept` (K, P): weights. `good` (P,): points. `before`: the sensors as weighted by earlier windows.
     """
     depth, used = s.state.depths_m, kept > 0
     least_m = MIN_DEPTH_SHARE * float(np.median(np.abs(depth[used])))
@@ -184,7 +185,7 @@ def _by_distance(config: Config, keyframes: Sequence[Keyframe], s: Solution, lay
 
 
 def by_memory(memory: Memory, agreed: Agreement | None) -> str | None:
-    """What in earlier windows contradicts this one; None if nothing does."""
+    """The contradiction of this window with an earlier one, in words; None if there is none."""
     most = MAX_AGREEMENT * memory.relative.factor
     if agreed is not None and agreed.chi2 > most:
         return (

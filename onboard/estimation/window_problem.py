@@ -49,7 +49,7 @@ class WindowProblem:
         return self.unweighed.layout
 
     def problem(self, noise: Noise) -> Problem:
-        """What is minimised, weighted by this noise."""
+        """The problem to minimise, weighted by this noise."""
         request, unweighed = self.request, self.unweighed
         sensors = Sensors(
             request.config, request.R_body_cam, self.keyframes, self.layout, noise.factors, noise.jitter_s

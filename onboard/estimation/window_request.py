@@ -1,4 +1,4 @@
-"""What a window's adjustment is asked and what it answers: the flight's noise, the request, the outcome."""
+"""Input and output of a window's adjustment: the flight's noise, the request, the outcome."""
 
 from __future__ import annotations
 

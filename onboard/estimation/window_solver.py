@@ -72,10 +72,10 @@ class Adjusted:
 
 
 def lie_near(state: State, weight: Array) -> Mask:
-    """Which points (P,) are far nearer to a camera that saw them, by weight (K, P), than what else it saw. (6.16)
+    """A mask (P,) of points far nearer to a camera that saw them, by weight (K, P), than the others it saw. (6.16)
 
-    A point at a camera's centre fits whatever that saw: a wrong track's may end there, and would then hold the camera
-    to a place that nothing measured.
+    A point at a camera's centre fits any measurement of that camera: a wrong track's may end there, and would then hold
+    the camera to a place that nothing measured.
     """
     depth_m, seen = state.depths_m, weight > 0
     usual_m = np.array([np.median(d[s]) if s.any() else 0.0 for d, s in zip(depth_m, seen, strict=True)])
@@ -130,7 +130,7 @@ def adjust(request: Request) -> Outcome:
 
 
 def _adjusted(request: Request) -> Outcome:
-    """From one start."""
+    """Adjust from one start."""
     window = window_problem.from_request(request)
     if isinstance(window, Outcome):
         return window
@@ -236,7 +236,7 @@ def _with_waves(window: WindowProblem, weighed: Weighed, rounds: int = 1) -> tup
 def _learned(
     request: Request, noise: Noise, weighed: Weighed, adjusted: Adjusted, judged: Outcome, failed: set[str]
 ) -> Noise:
-    """What the next window is weighted by: `noise`, with the sensors' evidence where the window was accepted."""
+    """The noise that weights the next window: `noise`, with the sensors' evidence if the window was accepted."""
     factors, failing = replace(request.noise.factors, groups={}), noise.failing
     if judged.status is Status.OK:
         start_ns, end_ns = request.keyframes[0].nav.stamp_ns, request.keyframes[-1].nav.stamp_ns
@@ -283,7 +283,7 @@ def _reweighed(request: Request, weighed: Weighed) -> tuple[Noise, bool]:
 
 
 def _judged(request: Request, window: WindowProblem, weighed: Weighed, adjusted: Adjusted) -> Outcome:
-    """Whether a solution may be published."""
+    """The outcome of an adjusted window: solved, or refused with the reason."""
     s, kept, own = adjusted.solution, adjusted.kept, adjusted.own
     noise, camera, config, layout = weighed.noise, request.camera, request.config, window.layout
     keyframes = window_start.with_found_rates(request, window.keyframes, layout, window.unweighed.sweep, s.state)
@@ -349,7 +349,7 @@ def _solved(
     keyframes: tuple[Keyframe, ...],
     priors: list[Prior],
 ) -> Solved:
-    """What is kept of a solution: with the keyframes' poses by it, and all that is derived from it once."""
+    """The solved window: the solution, the keyframes with its poses, and all that is derived from it once."""
     state, layout = s.state, window.layout
     posed = tuple(
         replace(k, R_cam_enu=R, centre_enu_m=C)

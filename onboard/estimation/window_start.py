@@ -1,4 +1,4 @@
-"""Where a window's adjustment begins: measurements on a grid, orientations, points, and the ground plane.
+"""The start of a window's adjustment: measurements on a grid, orientations, points, and the ground plane.
 
 Where no sensor gives attitude, one pair with a long baseline and many common features is oriented by `start_pair`; the
 other views follow from its points, the one that sees most of them next. Seed, section 2.2.
@@ -36,13 +36,13 @@ START_SIGMAS = 5.0  # of an inlier at the start, at 640 px width: larger picture
 
 
 def has_baseline(keyframes: tuple[Keyframe, ...]) -> bool:
-    """Whether the positions reach far enough to give a direction of travel."""
+    """Return whether the positions reach far enough to give a direction of travel."""
     positions = np.stack([k.nav.position_enu_m for k in keyframes])
     return float(np.linalg.norm(np.ptp(positions, axis=0))) >= MIN_BASELINE_M
 
 
 def grid(request: Request, ids: Ids) -> tuple[Array, Array, Array, Array]:
-    """On the (keyframe, point) grid: measurements at each picture's moment, as its rows saw them, weights, and rows.
+    """Four arrays on the (keyframe, point) grid: measurements at the picture's moment, as rows saw them, weights, rows.
 
     A row is given as the share of the readout at which it is exposed, if rows are read in turn. (18.1)
     """
@@ -58,7 +58,7 @@ def grid(request: Request, ids: Ids) -> tuple[Array, Array, Array, Array]:
 
 
 def sweep(request: Request, keyframes: tuple[Keyframe, ...], share: Array) -> Sweep | None:
-    """How the keyframes' rows move, by their navigation as it is now; None where all rows are exposed at once.
+    """The motion of the keyframes' rows, by their current navigation; None if all rows are exposed at once.
 
     Without attitudes the poses themselves show how fast the camera turns, from keyframe to keyframe.
     """
@@ -84,7 +84,7 @@ def layout_of(request: Request, keyframes: tuple[Keyframe, ...], rows: Sweep | N
 
 
 def readout_of(request: Request, layout: Layout, state: State) -> float:
-    """How long the rows take by a solution, s."""
+    """The readout time of the rows by a solution, s."""
     found_s = request.config.camera.readout_s + camera_states.readout_s(state.camera)
     # Rates are estimated as what they move, which no rate does in no time.
     least_s = LEAST_READOUT_S if RATES in layout.blocks else 0.0
