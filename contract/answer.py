@@ -1,4 +1,4 @@
-"""What a click gets: a position with its error, or a refusal with its reason; and how both are written."""
+"""The answer to a click: a position with its error, or a refusal with its reason; and how both are written."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class Ellipse:
 
     @classmethod
     def from_covariance(cls, covariance_en_m2: Array) -> Ellipse:
-        """From a 2 x 2 covariance in east, north."""
+        """The 90 % ellipse of a 2 x 2 covariance in east, north."""
         values, vectors = np.linalg.eigh(covariance_en_m2)
         minor, major = np.sqrt(CHI2_2 * np.maximum(values, 0.0))
         azimuth = math.degrees(math.atan2(vectors[0, 1], vectors[1, 1])) % 180.0
@@ -90,7 +90,7 @@ class Ellipse:
 
 @dataclass(frozen=True)
 class Place:
-    """Where a thing is: degrees, metres above mean sea level or the ellipsoid (None: not known), its 90 % ellipse."""
+    """A position: degrees, metres above mean sea level or the ellipsoid (None: not known), its 90 % ellipse."""
 
     lat_deg: float
     lon_deg: float
@@ -100,7 +100,7 @@ class Place:
     sigma_height_m: float
 
     def to_dict(self) -> dict[str, object]:
-        """For JSON; latitude and longitude with nine decimals, lengths in mm."""
+        """Return the JSON object; latitude and longitude with nine decimals, lengths in mm."""
         e = self.ellipse
         return {
             "lat_deg": round(self.lat_deg, 9), "lon_deg": round(self.lon_deg, 9),
@@ -114,7 +114,6 @@ class Place:
 
 
 def rounded(value: float | None) -> float | None:
-    """To three decimals, for JSON."""
     return None if value is None else round(value, 3)
 
 
@@ -142,7 +141,7 @@ class Fix:
 
     @property
     def place(self) -> Place:
-        """Where it is, without how that was found."""
+        """The position alone, without method, set or time."""
         heights = self.height_amsl_m, self.height_ellipsoid_m
         return Place(self.lat_deg, self.lon_deg, *heights, self.ellipse, self.sigma_height_m)
 
@@ -215,7 +214,6 @@ Answer = Fix | Refusal
 
 
 def age_text(age_s: float | None) -> str:
-    """How old a picture is, for people."""
     return "of unknown age" if age_s is None else f"{age_s:.1f} s old"
 
 

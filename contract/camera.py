@@ -233,7 +233,7 @@ class Camera:
         return out
 
     def area_gain(self, xy: Array) -> Array:
-        """How much larger a small area about undistorted coordinates (N, 2) becomes distorted, (N,): (2.2)'s
+        """The factor (N,) by which distortion enlarges a small area at undistorted coordinates (N, 2): (2.2)'s
         determinant.
         """
         _, along, cross = self.linearised(xy.T)
@@ -251,7 +251,7 @@ class Camera:
         return uv, usable & self.contains(uv)
 
     def contains(self, uv_px: ArrayLike) -> Mask:
-        """Whether pixels (..., 2) are inside the picture, its half-pixel border included."""
+        """Return a mask (...) of the pixels (..., 2) inside the picture, its half-pixel border included."""
         uv = np.asarray(uv_px, float)
         u, v = uv[..., 0], uv[..., 1]
         return (u >= -0.5) & (v >= -0.5) & (u <= self.width_px - 0.5) & (v <= self.height_px - 0.5)

@@ -1,4 +1,4 @@
-"""How correlated the slow errors of two windows are, by when their pictures were taken. Equation (9.13).
+"""The correlation of the slow errors of two windows, by when their pictures were taken. Equation (9.13).
 
 Ground and aircraft both compare the results of two windows of a flight, and must agree on what these have in common.
 """

@@ -1,4 +1,4 @@
-"""Where a click's error comes from, in words: which source, and what would make it smaller. docs/mathematics-budget.md.
+"""The sources of a click's error in words: which one, and what would make it smaller. docs/mathematics-budget.md.
 
 The aircraft computes the shares and sends the codes of the largest ones (docs/wire-format.md, section 10); both sides
 print them from this table.
@@ -148,7 +148,7 @@ ABOUT: Mapping[Cause, About] = {
 
 
 def in_a_line(shares: Mapping[str, float]) -> str:
-    """For an operator: "mostly the camera's mount (60 %): fly one circle". Empty without shares.
+    """The main source, for an operator: "mostly the camera's mount (60 %): fly one circle". Empty without shares.
 
     `shares` of a click's variance by code, the largest first. A code of a later version is printed as it is.
     """

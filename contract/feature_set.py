@@ -28,7 +28,7 @@ COMMON_STATES = 9
 
 
 class Status(Enum):
-    """Why a set or a click has no answer, or that it has one. Values are the words users see; order, the wire code."""
+    """The reason why a set or a click has no answer, or OK. Values are the words users see; order, the wire code."""
 
     OK = "ok"
     STARTING = "starting"
@@ -60,14 +60,14 @@ _CODES: dict[Status, int] = {status: code for code, status in enumerate(Status)}
 
 
 class HeightDatum(Enum):
-    """What `camera_height_m` is measured from."""
+    """The surface that `camera_height_m` is measured from."""
 
     AMSL = "amsl"
     ELLIPSOID = "ellipsoid"
 
 
 class DepthSource(Enum):
-    """Where the inverse depths come from."""
+    """The origin of the inverse depths."""
 
     PARALLAX = "interpolated"
     TERRAIN = "terrain"
@@ -83,7 +83,7 @@ GROUND = slice(10, 13)  # errors of the prior ground: height (m), slope east, sl
 
 @dataclass(frozen=True, eq=False)
 class SharedErrors:
-    """How slow errors act on a set: nuisance parameters that other sets of the session have as well. Section 9."""
+    """Effects of slow errors on a set: nuisance parameters that other sets of the session have as well. Section 9."""
 
     # (9, NUISANCES): how far one sigma of each parameter moves the common states; its square is part of common_cov.
     by_nuisance: Array = field(default_factory=lambda: np.zeros((COMMON_STATES, NUISANCES)))

@@ -1,4 +1,4 @@
-"""Who takes part at a ground station's router: the list that `make-credentials` writes and the router reads."""
+"""The participants at a ground station's router: the list that `make-credentials` writes and the router reads."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Fleet:
     pins: tuple[str, ...] = ()
 
     def with_more(self, **names: tuple[str, ...]) -> Fleet:
-        """With these names too, by role."""
+        """Return a copy with these names added to their roles. Raises as `checked`."""
         more = {role: tuple(dict.fromkeys((*getattr(self, role), *added))) for role, added in names.items()}
         return checked(replace(self, **more), "the list of who takes part")  # type: ignore[arg-type]  # roles are tuples
 

@@ -74,7 +74,7 @@ class History(Generic[T]):
                 del self._sessions[number]
 
     def run(self, session: int) -> None:
-        """From now on this session is the one that runs, with those of its sets that are kept."""
+        """Make this session the one that runs, with those of its sets that are kept."""
         self._current = self._of(session)
         self._highest = max(self._highest, session)
 

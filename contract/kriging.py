@@ -116,8 +116,8 @@ class Kriging:
         return np.asarray((weights**2) @ self._nugget, np.float64)
 
     def _from_features(self, xy: Array) -> tuple[Array, Array, Array, Array]:
-        """Of points (M, 2): places (M, 3), distances to the features (M, N), their whitened covariance with them (M, N)
-        and what that leaves of the trend (M, 3).
+        """Return for points (M, 2) their places (M, 3), distances to the features (M, N), whitened covariance with the
+        features (M, N), and what that covariance leaves of the trend (M, 3).
         """
         places = on_plane(xy, self._plane)
         away = distances(places, self._places)
@@ -144,7 +144,7 @@ class Kriging:
 
     @cached_property
     def _beyond(self) -> float:
-        """That factor, found when the first click beyond the hull asks for it: most sets are asked for none."""
+        """The factor of (9.19), computed when the first click beyond the hull needs it: most sets get no such click."""
         return 1.0 if self._is_surface else self._shown_beyond()
 
     def _grown(self, xy: Array) -> Array:
@@ -188,13 +188,13 @@ def _inverse_of_lower(factor: Array) -> Array:
 
 
 def on_plane(xy: Array, plane: Array) -> Array:
-    """Where rays (N, 2) meet the plane w = a + b x + c y, in units of the camera's height above it: (N, 3). (9.20)"""
+    """Points (N, 3) where rays (N, 2) meet the plane w = a + b x + c y; unit: the camera's height above it. (9.20)"""
     H = np.concatenate([np.ones((len(xy), 1)), xy], axis=1)
     return H / _below_horizon(xy, plane)[:, None]
 
 
 def stretch(xy: Array, plane: Array) -> float:
-    """How long a unit of (x, y) amid rays (N, 2) is on that plane, in the same units: the root of an area's. (9.20)"""
+    """The length on that plane of a unit of (x, y) at the mean of rays (N, 2): the root of an area's. (9.20)"""
     return float(_below_horizon(np.mean(xy, axis=0)[None], plane)[0]) ** -1.5 if len(xy) else 1.0
 
 
@@ -252,7 +252,7 @@ def distance_outside(hull: Array, xy: Array) -> float:
 
 
 def distances_outside(hull: Array, xy: Array) -> Array:
-    """Those of points (M, 2): (M,)."""
+    """Distances (M,) from points (M, 2) to a convex polygon, 0 inside; infinite for a hull without area."""
     if len(hull) < 3:
         return np.full(len(xy), np.inf)
     edges = np.roll(hull, -1, axis=0) - hull

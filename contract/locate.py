@@ -52,7 +52,7 @@ class _Located:
 
 @dataclass(frozen=True, eq=False)
 class ErrorParts:
-    """What of a click's error is its own, for comparing it with clicks of the same spot in other pictures. (17.1)
+    """The parts of a click's error that are its own, to compare it with clicks of the spot in other pictures. (17.1)
 
     One sigma each of the relative inverse depth: the ground between the features, the features' noise. `by_pixel_m`
     (3, 2): how far the answer moves, east, north, up, for a pixel of u and of v.
@@ -65,7 +65,7 @@ class ErrorParts:
 
 @dataclass(frozen=True, eq=False)
 class Answers:
-    """What M pixels answer by themselves: as M calls of `locate`, without its words.
+    """The answers of M pixels, each by itself: the numbers of M calls of `locate`, without its words.
 
     `offset_enu_m` (M, 3) is from the camera, `covariance_enu_m2` (M, 3, 3) its error's. `by_pixel_m` (M, 3, 2): how far
     the answer moves for a pixel of u and of v, on ground that slopes as the plane does. All of them are nan where
@@ -177,8 +177,8 @@ class Locator:
         return ErrorParts(located.relative * math.sqrt(ground), located.relative * math.sqrt(noise), by_pixel)
 
     def own_variances(self, xy: Array) -> tuple[float, float]:
-        """Of a click's own inverse depth over the plane's, at unit-depth coordinates (2,): by the ground between the
-        features, by their noise.
+        """Variances of a click's own inverse depth over the plane's, at unit-depth coordinates (2,): from the ground
+        between the features, from the features' noise.
         """
         own = float(self._kriging.predict_each(xy[None])[1][0])
         noise = min(float(self._kriging.measured_variance(xy[None])[0]), own)
@@ -214,7 +214,7 @@ class Locator:
         return Answers(offset, covariance, by_pixel, answered)
 
     def _by_pixel(self, uv_px: Array, relative: Array) -> Array:
-        """How far the answers of pixels (M, 2) move for a pixel of u and of v, east, north, up: (M, 3, 2).
+        """The displacement (M, 3, 2), east, north, up, of the answers of pixels (M, 2) for a pixel of u and of v.
 
         The ground about each as the plane slopes, at the height that was found: `relative` (M,) is w / w_plane there.
         """
@@ -280,9 +280,8 @@ class Locator:
         return _Located(xy, offset, 1.0 / relative, variance, method, by_readout)
 
     def _at_middle_row(self, xy: Array, v_px: Array) -> tuple[Array, Array]:
-        """Where what pixels (M, 2) of these rows (M,) saw was at the picture's own moment, and d that / d readout.
-
-        (18.5)
+        """Move what pixels (M, 2) of these rows (M,) saw to the picture's moment; also return the derivative (M, 2) of
+        that by the readout. (18.5)
         """
         s, out, moved = self.feature_set, xy, np.zeros_like(xy)
         if s.shutter is None:
@@ -321,7 +320,7 @@ class Locator:
 
 
 def _curvature(by_cause: Array, by_depth: Array, causes: Array) -> Array:
-    """What a linear covariance of M clicks lacks (..., 3 M, 3 M), where ln w is not known well. (9.16), (9.17)
+    """The terms (..., 3 M, 3 M) that a linear covariance of M clicks lacks where ln w is not known well. (9.16), (9.17)
 
     `by_cause` (..., 3 M, N) moves the positions, `by_depth` (..., M, N) u = d ln w; `causes` (..., N, N) is the
     covariance of both. Never negative: an answer is not made surer.

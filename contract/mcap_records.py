@@ -94,12 +94,12 @@ def _header(data: Data, position: int) -> tuple[int, int]:
 
 
 def _is_closed(data: Data) -> bool:
-    """Whether the file was finished: then no record of it was cut off."""
+    """Return whether the file was finished: then no record of it was cut off."""
     return len(data) >= 2 * len(MAGIC) and bytes(data[len(data) - len(MAGIC) :]) == MAGIC
 
 
 def _next_place(data: Data, position: int, log_ns: int | None) -> int | None:
-    """Where records follow one another again; None if nowhere."""
+    """Find the next position from which records follow one another again; None if there is none."""
     while (found := _CANDIDATE.search(data, position)) is not None:
         if _follow_one_another(data, found.start(), log_ns):
             return found.start()

@@ -21,7 +21,7 @@ _FRAME_MARKERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 
 
 class ImageFormat(Enum):
-    """How an image is compressed."""
+    """The compression of an image."""
 
     JPEG = "jpeg"
     WEBP = "webp"
@@ -67,7 +67,7 @@ def image_size(content: bytes) -> tuple[ImageFormat, int, int]:
 
 
 def _webp_size(content: bytes) -> tuple[int, int] | None:
-    """Of the simple lossy file: one VP8 chunk (RFC 9649, RFC 6386)."""
+    """Read width and height of a simple lossy file: one VP8 chunk (RFC 9649, RFC 6386). None for other content."""
     if content[12:16] != b"VP8 " or content[23:26] != _WEBP_KEY or len(content) < 30:
         return None
     if struct.unpack_from("<I", content, 4)[0] + 8 != len(content):
@@ -77,7 +77,7 @@ def _webp_size(content: bytes) -> tuple[int, int] | None:
 
 
 def _jpeg_size(content: bytes) -> tuple[int, int] | None:
-    """Of the first frame header (ITU-T T.81, B.2.2)."""
+    """Read width and height from the first frame header (ITU-T T.81, B.2.2); None if there is none."""
     at = _SOI
     while at + 9 <= len(content) and content[at] == 0xFF:
         marker, length = content[at + 1], int.from_bytes(content[at + 2 : at + 4], "big")

@@ -16,7 +16,7 @@ METADATA_NAME = "pointclick"
 
 
 class CameraChannels(NamedTuple):
-    """What a camera gave: its frames, each after its picture and, of a thermal camera, its counts."""
+    """The channels of a camera: its frames, each after its picture and, of a thermal camera, its counts."""
 
     frames: str
     pictures: str
@@ -60,7 +60,7 @@ def split_part(name: str) -> tuple[str, int] | None:
 
 
 def session_parts(names: list[str], one: str) -> list[str]:
-    """Those of `names` that are parts of the same session as `one`, in order; `one` alone if it is a session itself."""
+    """Select the `names` that are parts of the session of `one`, in order; `one` alone if it is a session itself."""
     this = split_part(one)
     if this is None or this[1] == 0 or one not in names:
         return [one]

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class RollingShutter:
-    """How the camera moved while a picture was read, and how long that took.
+    """The camera's motion while a picture was read, and the time that took.
 
     `readout_s` is the time in which all rows are read, positive if the first row comes first. `sigma_readout_s` is one
     sigma of what it may be wrong by beyond what the picture's other errors already hold.
@@ -29,13 +29,13 @@ class RollingShutter:
     sigma_readout_s: float = 0.0
 
     def image_velocity(self, xy: Array, inverse_depth_per_m: Array | float) -> Array:
-        """How places (..., 2) of the picture, normalised, move: (..., 2) in 1/s."""
+        """The velocity (..., 2), 1/s, of normalised places (..., 2) of the picture."""
         moved = image_velocity(xy[..., 0], xy[..., 1], inverse_depth_per_m, self.rate_cam_rad_s, self.velocity_cam_m_s)
         return np.stack(moved, axis=-1)
 
 
 def row_share(v_px: Array | float, height_px: int) -> Array | float:
-    """When a row is exposed, counted from the middle row, as a share of the readout: -1/2 to 1/2. (18.1)"""
+    """The moment at which a row is exposed, from the middle row's, as a share of the readout: -1/2 to 1/2. (18.1)"""
     return (v_px - 0.5 * (height_px - 1)) / height_px
 
 

@@ -35,7 +35,7 @@ class Spot:
     is_cut: bool = False
 
     def to_dict(self) -> dict[str, object]:
-        """For JSON."""
+        """Return the JSON object; figures of the place only if it is known."""
         content: dict[str, object] = {
             "u": round(self.u_px, 2), "v": round(self.v_px, 2), "contrast": round(self.contrast, 2),
             "temperature_c": rounded(self.temperature_c), "above_ground_k": rounded(self.above_ground_k),

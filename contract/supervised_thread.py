@@ -22,7 +22,7 @@ log = logging.getLogger("pointclick")
 
 
 class Policy(Enum):
-    """What becomes of a thread that fails, or ends without having been asked to."""
+    """The consequence of a thread's failure, or of its end without having been asked to."""
 
     RESTART = "restart"  # begun again, after a pause that grows
     DEGRADE = "degrade"  # the service goes on without it and reports that
@@ -30,7 +30,7 @@ class Policy(Enum):
 
 
 class ThreadState(Enum):
-    """How a thread is. Values are the words users see."""
+    """The state of a thread. Values are the words users see."""
 
     NOT_STARTED = "not started"
     RUNNING = "running"
@@ -42,7 +42,7 @@ class ThreadState(Enum):
 
 @dataclass(frozen=True)
 class ThreadReport:
-    """How a thread is just now."""
+    """The condition of a thread at one moment."""
 
     name: str
     state: ThreadState
@@ -52,7 +52,7 @@ class ThreadReport:
 
     @property
     def is_well(self) -> bool:
-        """Whether it does its work, or has ended as asked."""
+        """True while it does its work, or once it has ended as asked."""
         return self.state in (ThreadState.RUNNING, ThreadState.ENDED)
 
 
@@ -60,7 +60,7 @@ class Stop(Protocol):
     """The part of `threading.Event` that work in a thread needs."""
 
     def is_set(self) -> bool:
-        """Whether to come to an end."""
+        """Return True once the work is to end."""
 
     def wait(self, timeout: float | None = None) -> bool:
         """Sleep until it is set or `timeout` seconds have passed; returns whether it is set."""
@@ -125,12 +125,12 @@ class SupervisedThread:
         self._beat_s = self._monotonic_s()
 
     def is_set(self) -> bool:
-        """As a `Stop`: whether to come to an end; a heartbeat."""
+        """Serve `Stop`: return True once the work is to end. Counts as a heartbeat."""
         self.beat()
         return self._stop.is_set()
 
     def wait(self, timeout: float | None = None) -> bool:
-        """As a `Stop`: sleep until it is set or `timeout` seconds have passed; a heartbeat while it lasts."""
+        """Serve `Stop`: sleep until it is set or `timeout` seconds have passed. A heartbeat while it lasts."""
         self._is_waiting = True
         try:
             return self._stop.wait(timeout)
@@ -155,7 +155,7 @@ class SupervisedThread:
         return self.heartbeat_age_s > self.late_after_s
 
     def report(self) -> ThreadReport:
-        """How it is; from any thread."""
+        """Return the thread's condition now; may be called from any thread."""
         has_beat = self._state is ThreadState.RUNNING and self.late_after_s is not None
         state = ThreadState.LATE if self.is_late else self._state
         return ThreadReport(

@@ -17,7 +17,7 @@ MOST_REQUEST = 200  # characters
 
 
 class TrackState(Enum):
-    """How a track is. Values are the words users see; order, the wire code."""
+    """The state of a track. Values are the words users see; order, the wire code."""
 
     FOLLOWED = "followed"
     COASTING = "coasting"  # not seen; where it is follows from how it moved
@@ -25,7 +25,7 @@ class TrackState(Enum):
 
 
 class Unseen(Enum):
-    """Why a thing is not seen. Values are the words users see; order, the wire code."""
+    """The reason why a thing is not seen. Values are the words users see; order, the wire code."""
 
     NONE = ""
     HIDDEN = "hidden"  # it is not where it should be
@@ -36,7 +36,7 @@ class Unseen(Enum):
 
 @dataclass(frozen=True)
 class Course:
-    """How a thing moves over the ground: m/s, and degrees clockwise from north; one sigma of each.
+    """Speed over the ground, m/s, and course, degrees clockwise from north; one sigma of each.
 
     A thing at rest has no course: both its figures are None.
     """
@@ -51,7 +51,7 @@ class Course:
         return self.course_deg is not None
 
     def to_text(self) -> str:
-        """In words."""
+        """The speed and course in words."""
         if self.course_deg is None or self.sigma_course_deg is None:
             return f"at rest (+-{self.sigma_speed_m_s:.2f} m/s)"
         return (
@@ -118,7 +118,7 @@ class TrackReport:
 
     @property
     def course_text(self) -> str:
-        """How it moves, in words."""
+        """The course in words; "speed not known" without one."""
         return "speed not known" if self.course is None else self.course.to_text()
 
 
@@ -140,7 +140,7 @@ class StopTrack:
 
 @dataclass(frozen=True)
 class ListTracks:
-    """Which tracks there are."""
+    """A request for the list of all tracks."""
 
 
 TrackRequest = StartTrack | StopTrack | ListTracks
@@ -155,7 +155,7 @@ def parameters_of(request: TrackRequest) -> str:
 
 
 def read_request(text: str) -> TrackRequest:
-    """What a query's parameters ask for. Raises InputError in one line for what is no request."""
+    """Read the request out of a query's parameters. Raises InputError in one line for anything else."""
     if len(text) > MOST_REQUEST:
         raise InputError(f"more than {MOST_REQUEST} characters")
     pairs = [part.partition("=")[::2] for part in text.split(";") if part]

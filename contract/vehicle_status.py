@@ -1,4 +1,4 @@
-"""How the aircraft's side is, once a second: a small JSON object. docs/wire-format.md, section 10.
+"""The state of the aircraft's side, once a second: a small JSON object. docs/wire-format.md, section 10.
 
 Written for people and dashboards, so text; a reader ignores unknown keys, and keys may be added.
 """
@@ -51,7 +51,7 @@ class VehicleStatus:
 
 
 def encode_status(status: VehicleStatus) -> bytes:
-    """At most MAX_BYTES of ASCII. Raises ValueError for a number that is not finite."""
+    """Return the status in at most MAX_BYTES of ASCII. Raises ValueError for a number that is not finite."""
     content: dict[str, Any] = {"v": VERSION, **asdict(status)}
     for key, digits in (("unix_s", 3), ("up_s", 0), ("camera_hz", 1), ("ok_hz", 1), ("delay_s", 3)):
         content[key] = _number(content[key], digits)
@@ -84,7 +84,7 @@ def _number(value: float, digits: int) -> float | int:
 
 
 def _plain(text: str) -> str:
-    """What JSON writes as it is, one byte a character: the bound on the size counts on it."""
+    """Replace every character that JSON would escape, so that each is one byte: the bound on the size counts on it."""
     return "".join(c if " " <= c <= "~" and c not in '"\\' else "'" if c == '"' else "?" for c in text)
 
 

@@ -1,4 +1,4 @@
-"""How fast a thing goes over the ground and where to, out of a velocity and its covariance."""
+"""Speed and course over the ground out of a velocity and its covariance."""
 
 from __future__ import annotations
 
@@ -47,6 +47,6 @@ class Velocity:
         return min(math.degrees(math.sqrt(float(across @ self.cov @ across)) / speed), 180.0)
 
     def course(self, is_moving: bool) -> Course:
-        """Of a thing that moves, or of one at rest."""
+        """The speed, and the course unless the thing is at rest."""
         figures = self.speed_m_s, self.sigma_speed_m_s
         return Course(*figures, self.course_deg, self.sigma_course_deg) if is_moving else Course(*figures)

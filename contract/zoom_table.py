@@ -55,7 +55,7 @@ class ZoomTable:
         return cls(raw["unit"], *columns)
 
     def to_json(self) -> dict[str, Any]:
-        """What `from_json` reads."""
+        """Return the JSON object that `from_json` reads."""
         return {"unit": self.unit, **{name: list(getattr(self, name)) for name in COLUMNS}}
 
     def log_focal(self, position: float) -> float | None:
@@ -77,7 +77,7 @@ class ZoomTable:
         return position if 0.0 <= position <= 100.0 else None
 
     def has(self, log_focal: float) -> bool:
-        """Whether the lens can have this focal length, or nearly."""
+        """Return whether the lens can have this focal length, or nearly."""
         return math.log(self.focal_px[0] / MAX_BEYOND) <= log_focal <= math.log(self.focal_px[-1] * MAX_BEYOND)
 
     def at(self, log_focal: float) -> tuple[float, float, float]:

@@ -94,7 +94,7 @@ def encode_question(question: ClickQuestion) -> bytes:
 
 
 def encode_answer(reply: ClickAnswer | TurnedAway) -> bytes:
-    """At most 60 bytes; a vehicle's name is cut at 8, a reason where the packet ends. Raises ValueError."""
+    """Encode in at most 60 bytes; a vehicle's name is cut at 8, a reason where the packet ends. Raises ValueError."""
     if isinstance(reply, TurnedAway):
         return _TURNED_AWAY.pack(MAJOR << 4 | TURNED_AWAY, reply.number, reply.low, reply.high)
     a = reply.answer
@@ -131,7 +131,7 @@ def cut_name(vehicle: str) -> str:
 
 
 def _cut(text: str, most: int) -> bytes:
-    """As many whole characters as fit into `most` bytes, UTF-8."""
+    """Return the first whole characters that fit into `most` bytes, UTF-8."""
     return text.encode()[:most].decode(errors="ignore").encode()
 
 

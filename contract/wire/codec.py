@@ -44,7 +44,7 @@ _STATUSES = tuple(Status)
 
 @dataclass(frozen=True)
 class Identity:
-    """Which set a payload is, read from its first bytes without decoding (and without checking) the rest."""
+    """The identity of a payload's set, read from its first bytes without decoding (and without checking) the rest."""
 
     vehicle: str
     session: int

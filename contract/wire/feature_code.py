@@ -105,7 +105,10 @@ def features_from_numbers(camera: Camera, plane_per_m: list[float], base: int, c
 
 
 def _cells(camera: Camera, uv_px: Array) -> tuple[Ints, Array]:
-    """Of features (N, 2): the pixels they lie in, counted row by row (N,), and where they are, rows (2, N)."""
+    """Return the pixels that features (N, 2) lie in, counted row by row (N,), and their positions as rows (2, N).
+
+    Raises ValueError for a feature off the picture.
+    """
     at = np.ascontiguousarray(uv_px.T)
     u, v = cell = np.floor(at + 0.5)
     most_u, most_v = np.maximum.reduce(cell, axis=1).tolist()
@@ -124,7 +127,7 @@ def _sigmas(smallest: float, levels: NDArray[Any]) -> Array:
 
 
 def _plane_inverse_depth(camera: Camera, plane_per_m: list[float], uv_px: Array) -> Array:
-    """What the plane predicts at pixels (2, N), rows u and v: the reference both sides code inverse depths against.
+    """The plane's inverse depths at pixels (2, N), rows u and v: the reference both sides code inverse depths against.
 
     A series undoes the distortion well enough to predict, cheaply and identically on both sides; the rest is part of
     the residual. Where it diverges (a calibration that folds) the distorted coordinates have to do.

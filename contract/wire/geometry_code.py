@@ -31,7 +31,7 @@ _SHUTTER = struct.Struct("<fH6h")
 
 
 def pose_numbers(s: FeatureSet) -> list[float]:
-    """What `GEOMETRY` of the codec begins with: whole numbers, those of 5 and 3 bytes in two parts, then the plane.
+    """The first numbers of the codec's `GEOMETRY`: whole numbers, those of 5 and 3 bytes in two parts, then the plane.
 
     Raises ValueError.
     """
@@ -97,7 +97,7 @@ def _rotation_steps(R: Array) -> list[int]:
 
 
 def _is_rotation(rows: list[list[float]]) -> bool:
-    """Whether rows are of length one, at right angles to each other, and right-handed."""
+    """Return whether rows are of length one, at right angles to each other, and right-handed."""
     (a, b, c), (d, e, f), (g, h, i) = rows
     off = (
         a * a + b * b + c * c - 1.0,

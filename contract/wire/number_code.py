@@ -31,7 +31,7 @@ _SHIFTS = [
 
 @lru_cache(maxsize=256)
 def _groups(features: int) -> tuple[list[int], Ints, Ints]:
-    """Of a set of so many features: numbers a group, where each group starts, and the group of each number."""
+    """The groups of a set of so many features: numbers in each, where each starts, and the group of each number."""
     sizes = SIZES + ([features] * COLUMNS if features else [])
     starts: Ints = np.cumsum(sizes) - np.array(sizes)
     return sizes, starts, np.repeat(np.arange(len(sizes)), sizes)

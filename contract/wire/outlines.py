@@ -12,7 +12,7 @@ LEAST_POINTS, MOST_POINTS = 3, 255
 
 
 def outline_bytes(points: int) -> int:
-    """That an outline takes in addition to its number of points."""
+    """Bytes of an outline in addition to its number of points."""
     return 1 + 2 * points if points else 0
 
 
@@ -51,7 +51,7 @@ class _Ring:
         self._before, self._after = [(i - 1) % n for i in range(n)], [(i + 1) % n for i in range(n)]
 
     def area(self, i: int) -> float:
-        """Of a point's triangle with its neighbours."""
+        """The area of a point's triangle with its neighbours, at least its `floor`."""
         (ax, ay), (bx, by), (cx, cy) = (self._points[j] for j in (self._before[i], i, self._after[i]))
         return max(0.5 * abs((bx - ax) * (cy - ay) - (cx - ax) * (by - ay)), self.floor[i])
 

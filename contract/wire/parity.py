@@ -30,7 +30,7 @@ def pieces_of(content: bytes, pieces: int) -> list[bytes]:
 
 
 def parities(contents: Sequence[bytes]) -> list[bytes]:
-    """Of all pieces, in order: parity g is that of the pieces i with i modulo the number of groups = g."""
+    """The parities of all pieces, in order: parity g is that of the pieces i with i modulo the number of groups = g."""
     groups = groups_of(len(contents))
     return [_parity(contents[g::groups], len(contents[0])) for g in range(groups)]
 

@@ -30,7 +30,7 @@ _FORMATS = {kind.code: kind for kind in ImageFormat}
 
 @dataclass(frozen=True)
 class Whole:
-    """What every piece of a picture states of the whole: the same in all of them, so pieces are put together by it."""
+    """The description of a picture that every piece repeats; pieces with the same one are put together."""
 
     vehicle: str
     session: int
@@ -50,7 +50,7 @@ class Whole:
 
     @property
     def groups(self) -> int:
-        """How many parities there may be. Piece i belongs to group i modulo this."""
+        """The largest number of parities. Piece i belongs to group i modulo this."""
         return groups_of(self.pieces)
 
 

@@ -1,4 +1,4 @@
-"""How far an aircraft gets through its autopilot's radio, a small packet of its own. docs/wire-format.md, section 13.
+"""The reach of an aircraft through its autopilot's radio, a small packet of its own. docs/wire-format.md, section 13.
 
 A radio that is full drops the large packets first: an answer or a piece of a set. This one is as long on the wire as a
 heartbeat, so that it still comes where those do not.
@@ -21,7 +21,7 @@ _STATE = struct.Struct("<BBHH")
 
 
 class Held(IntEnum):
-    """What keeps sets or answers from coming."""
+    """The cause that keeps sets or answers from coming."""
 
     BY_NOTHING = 0
     BY_RADIO = 1  # the autopilot drops what it has no room for, or lets it wait

@@ -142,6 +142,6 @@ class SetAssembly:
         return whole[_AGE.size :], None if age == NO_AGE else age * AGE_STEP_S
 
     def report(self, now_s: float) -> ReceiverReport:
-        """What has been received so far."""
+        """Summarise what was received so far: highest packet number, count, ages (s) of the latest packets."""
         came_s = {number: now_s - at_s for number, at_s in self._came_s.items()}
         return ReceiverReport(self._highest or 0, self._received % 65536, came_s)

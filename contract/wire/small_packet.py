@@ -1,4 +1,4 @@
-"""What the small packets have in common: clicks, tracks, spots. docs/wire-format.md, sections 13 to 15."""
+"""Common parts of the small packets: clicks, tracks, spots. docs/wire-format.md, sections 13 to 15."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ HEIGHT_STEP_M = 0.001
 
 
 def first_byte(payload: bytes, what: str, major: int) -> int:
-    """Of a small packet that begins with its major version and its kind, four bits each; returned is the kind.
+    """Check a small packet's first byte, major version and kind of four bits each, and return the kind.
 
     Raises TruncatedPayload, NewerPayload (versions from `major` + 1 on) or CorruptPayload.
     """

@@ -127,7 +127,7 @@ def _reference(p: Place, exponent: int) -> bytes:
 
 
 def _read_reference(cursor: ByteCursor, flags: int) -> tuple[Place, float]:
-    """What the spots' places count from, and the step of their offsets, degrees."""
+    """Read the place that the spots' offsets count from, and the offsets' step, degrees. Raises CorruptPayload."""
     lat, lon, height, undulation, exponent = cursor.unpack(_REFERENCE)
     lat_deg, lon_deg = (int.from_bytes(part, "little", signed=True) * DEGREE for part in (lat, lon))
     if not (abs(lat_deg) <= 90.0 and abs(lon_deg) <= 180.0 and exponent <= MOST_EXPONENT):

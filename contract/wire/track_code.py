@@ -46,7 +46,7 @@ def encode_track(report: TrackReport) -> bytes:
 
 
 def decode_tracks(payload: bytes, vehicle: str = "") -> list[TrackReport]:
-    """Of a message: packets one after the other. Raises as `decode_track`."""
+    """Decode a message: packets one after the other. Raises as `decode_track`."""
     out: list[TrackReport] = []
     while payload:
         length = _length(payload)
@@ -56,7 +56,7 @@ def decode_tracks(payload: bytes, vehicle: str = "") -> list[TrackReport]:
 
 
 def _length(payload: bytes) -> int:
-    """Of the packet that a message begins with, as far as its head can be read."""
+    """The length of the packet that a message begins with, as far as its head can be read."""
     flags = payload[3] if len(payload) >= _HEAD.size else 0
     return _HEAD.size + bool(flags & HAS_PLACE) * _PLACE.size + bool(flags & HAS_SPEED) * _SPEED.size
 
