@@ -1,4 +1,4 @@
-"""How large a thing is whose outline is blurred: the disc that has the same area at half of its height. (25.10)"""
+"""The size of a thing with a blurred outline: the disc that has the same area at half of its height. (25.10)"""
 
 from __future__ import annotations
 

@@ -41,9 +41,9 @@ class Bracketed:
 
 
 class BracketedPictures:
-    """For one thread. So many a second at most, never two of which the same picture of the first camera is nearest.
+    """Pairs pictures of the second camera with sets: at most `rate_hz` a second, no two with the same nearest set.
 
-    A picture waits for the next set until pictures have come that are `late_s` younger.
+    A picture waits for the next set until pictures have come that are `late_s` younger. For one thread.
     """
 
     def __init__(self, rate_hz: float, late_s: float) -> None:
@@ -95,7 +95,10 @@ class BracketedPictures:
         return found
 
     def _judge(self) -> None:
-        """How far the last set but one is from what its neighbours predict, as an acceleration. (27.3)"""
+        """Add how far the last set but one is from its neighbours' prediction, as squared accelerations. (27.3)
+
+        It adds nothing until there are three sets, all with an answer.
+        """
         newest = list(self._sets)[-3:]
         if len(newest) < 3 or not all(s.is_ok for s in newest):
             return
@@ -114,8 +117,8 @@ def seconds(one: FeatureSet, two: FeatureSet) -> float:
 
 
 def motion(one: FeatureSet, two: FeatureSet) -> tuple[np.ndarray, np.ndarray]:
-    """From one set's pose to another's: the way (3,) in the first's east, north, up, m, and the rotation vector (3,)
-    in its camera's axes.
+    """Return the motion between two sets' poses: the way (3,) in the first's east, north, up, m, and the rotation
+    vector (3,) in its camera's axes.
     """
     frame = LocalFrame(one.camera_lat_deg, one.camera_lon_deg, one.camera_height_m)
     way = frame.to_enu(two.camera_lat_deg, two.camera_lon_deg, two.camera_height_m)

@@ -1,4 +1,4 @@
-"""How high a contrast must be so that the ground alone reaches it only so often a square kilometre. (25.6) to (25.8)"""
+"""The contrast that the ground alone reaches only so often a square kilometre. (25.6) to (25.8)"""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class ClutterTail:
         return sum(area for _, area, _ in self._samples)
 
     def is_new(self, place_m: Array, area_km2: float) -> bool:
-        """Whether a picture about a place (2,), east and north, shows ground that has not been counted."""
+        """Return whether a picture about a place (2,), east and north, m, shows ground that has not been counted."""
         side_m = 1000.0 * np.sqrt(area_km2)
         return all(float(np.hypot(*(place_m - other))) > APART * side_m for other, _, _ in self._samples)
 
@@ -45,7 +45,7 @@ class ClutterTail:
 
     @property
     def threshold(self) -> float:
-        """In sigmas of the clutter; infinite while too little has been seen."""
+        """The contrast that a spot must have, in sigmas of the clutter; infinite while too little has been seen."""
         if self._threshold is None:
             self._threshold = self._fitted()
         return self._threshold

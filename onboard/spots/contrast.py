@@ -24,7 +24,7 @@ TO_SIGMA = 1.4826  # of a median absolute deviation
 
 @dataclass(frozen=True, eq=False)
 class Contrast:
-    """What stands out of a picture (H, W), made coarser `times`: in its own unit, and in sigmas of the clutter."""
+    """The contrast of a picture (H, W) made coarser `times`: in its own unit, and in sigmas of the clutter."""
 
     side_m: float  # of the things that it is for
     times: float
@@ -39,7 +39,7 @@ class Contrast:
 
 
 def contrast(values: Image, is_ground: Mask, side_m: float, pixel_m: float) -> Contrast:
-    """For things of that side; `is_ground` (h, w): one value for each part of the picture."""
+    """Return the contrast of things of that side; `is_ground` (h, w) has one value for each part of the picture."""
     height, width = values.shape
     times = max(side_m / pixel_m / THING_PX, 1.0)
     if times > 1.0:
@@ -61,9 +61,9 @@ def contrast(values: Image, is_ground: Mask, side_m: float, pixel_m: float) -> C
 
 
 def in_picture(values: Image, is_ground: Mask) -> tuple[Image, float]:
-    """How far each pixel (H, W) is above the median of the ground's, in sigmas of them; and that median.
+    """Return how far each pixel (H, W) is above the median of the ground's, in sigmas of them, and that median. (25.9)
 
-    (25.9)
+    Pixels that show no ground are 0.
     """
     outside = _stretched(is_ground.astype(np.float32), values) < 0.99
     some = values[::EACH, ::EACH]

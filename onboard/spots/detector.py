@@ -40,8 +40,9 @@ class Detector:
         self._pixel_m = 0.0  # of the newest picture with a scale
 
     def look(self, counts: NDArray[np.uint16], its_set: FeatureSet, place_m: Array) -> list[Region]:
-        """Of counts (H, W) and the picture's set, the most significant first; `place_m` (2,): about where its ground
-        is, east and north of a point that stays.
+        """Return the regions of counts (H, W) that stand out, the most significant first.
+
+        `its_set` is the picture's set; `place_m` (2,): about where its ground is, east and north of a point that stays.
         """
         ground = ground_scale(its_set, PARTS)
         used = ground or usual_scale(its_set.camera, PARTS)
@@ -64,7 +65,7 @@ class Detector:
         return apart(sorted(found, key=lambda region: -region.significance))
 
     def _learn(self, c: Contrast, tail: ClutterTail, ground: GroundScale, place_m: Array, pixel_m: float) -> None:
-        """Of ground that has not been seen yet: how much of it looks like a spot. (25.6)"""
+        """Add to `tail` how much of the picture looks like a spot, if its ground has not been counted yet. (25.6)"""
         width, height = c.size_px
         area_km2 = 1e-6 * ground.area_m2((width, height)) * c.times**2
         if area_km2 > 0.0 and tail.is_new(place_m, area_km2):
@@ -88,7 +89,7 @@ class Detector:
         return found
 
     def _large(self, values: Image, ground: GroundScale, pixel_m: float) -> list[Region]:
-        """By heat alone; where that is not known, what is far above all of the picture."""
+        """Return regions by heat alone; where temperatures are not known, those far above all of the picture."""
         size, usual = in_picture(values, ground.is_ground)
         if self._scale is None:
             level = size - np.float32(OUT_OF_PICTURE)

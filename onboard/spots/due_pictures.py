@@ -1,4 +1,4 @@
-"""Which pictures are looked at for spots: those with counts and a set, so many a second at most, never an older one."""
+"""The choice of pictures to look at for spots: with counts and a set, so many a second at most, never an older one."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ EARLY = 0.1  # of the time between two, by which one may come too soon: pictures
 
 
 class DuePictures:
-    """For one thread. At most `most` pictures wait for their sets, the newest."""
+    """Pictures that wait for their sets, the newest `most` of them; for one thread."""
 
     def __init__(self, rate_hz: float, most: int) -> None:
         self._apart_ns = round((1.0 - EARLY) / rate_hz * 1e9)
@@ -23,7 +23,7 @@ class DuePictures:
             self._held.event(event)
 
     def take(self, output: FeatureSet) -> Frame | None:
-        """The picture that this first set is of, if it is to be looked at."""
+        """Return the picture that this set belongs to, if it is due and the set is the first one for it; else None."""
         frame = self._held.take(output.frame)
         identity = output.session, output.frame
         if frame is None or identity <= self._newest:

@@ -1,4 +1,4 @@
-"""How much ground the pixels of a picture show, by its set's plane. (25.2)"""
+"""The ground that the pixels of a picture show, by its set's plane. (25.2)"""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class GroundScale:
 
     @property
     def is_ground(self) -> NDArray[np.bool_]:
-        """Which places show ground that can be measured, and so do those next to them."""
+        """The places (h, w) that show ground that can be measured, and whose neighbours do so too."""
         shown = np.pad(np.isfinite(self.pixel_m2), 1, mode="edge")
         height, width = self.pixel_m2.shape
         out: NDArray[np.bool_] = np.all(
@@ -38,13 +38,13 @@ class GroundScale:
         return out
 
     def area_m2(self, size_px: tuple[int, int]) -> float:
-        """Of all the ground that the picture shows."""
+        """Return the area of all the ground that a picture of `size_px` shows."""
         counted = self.pixel_m2[self.is_ground]
         return float(counted.sum()) * size_px[0] * size_px[1] / self.pixel_m2.size
 
 
 def ground_scale(its_set: FeatureSet, shape: tuple[int, int]) -> GroundScale | None:
-    """Of a picture's set on a grid of that many rows and columns; None if the set has no answer or shows no ground."""
+    """Return the scale of a picture's set on a grid of that many rows and columns; None without an answer or ground."""
     s, camera = its_set, its_set.camera
     if not s.is_ok:
         return None

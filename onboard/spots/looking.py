@@ -1,4 +1,4 @@
-"""Which pictures are looked at and what is found in them: of the one camera, or of a second one next to it."""
+"""The search for spots: which pictures are looked at and what is found, with one camera or with a second one."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Looking(Protocol):
 
 
 def looking(config: Config, second: Camera | None, most_held: int) -> Looking:
-    """As the configuration has it; `second` is the second camera's optics, where there is one."""
+    """Return the search that the configuration asks for; `second` is the second camera's optics, if there is one."""
     return OneCamera(config, most_held) if second is None else TwoCameras(config, second)
 
 
@@ -93,7 +93,7 @@ class TwoCameras:
 
     @property
     def mount(self) -> Mount:
-        """How the second camera sits, as far as it is known now."""
+        """The mount of the second camera as estimated now."""
         return self._mount.mount
 
     def begin_again(self) -> None:
@@ -109,7 +109,7 @@ class TwoCameras:
         return [partial(self._look, found) for found in self._pictures.feature_set(output)]
 
     def second_picture(self, frame: Frame) -> list[Look]:
-        """Those of the pictures before it that no set came for."""
+        """Keep a picture of the second camera; return looks at those before it that wait no longer for a next set."""
         return [partial(self._look, found) for found in self._pictures.picture(frame)]
 
     def _look(self, found: Bracketed) -> SpotReport | None:
@@ -128,7 +128,10 @@ class TwoCameras:
         return replace(report, spots=tuple(spots))
 
     def _learn(self, report: SpotReport) -> None:
-        """How the second camera sits, by the report's spots; places of another session count from elsewhere."""
+        """Update the mount of the second camera by the report's spots.
+
+        A new session starts from the stated mount, for its places count from elsewhere.
+        """
         if report.session != self._session:
             self._session, self._mount = report.session, MountEstimate(Mount.stated(self._config.camera.thermal))
         sightings = []

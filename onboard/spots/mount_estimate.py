@@ -1,4 +1,4 @@
-"""How the second camera sits, by what it sees: a thing that stands is at one place from wherever it is looked at.
+"""Estimate of the second camera's mount from its spots: a thing that stands is at one place from all directions.
 
 (27.8) to (27.11)
 """
@@ -110,7 +110,7 @@ class MountEstimate:
         return [thing for thing in self._things if self._distance(now_s, one, thing.newest) < GATE]
 
     def _distance(self, now_s: float, one: Sighting, view: _View) -> float:
-        """From a view's last sighting, in sigmas squared. (27.8)"""
+        """Return the distance of a sighting from a view's last one, in sigmas squared; infinite without one. (27.8)"""
         other = view.last
         if other is None:
             return float("inf")
@@ -121,7 +121,7 @@ class MountEstimate:
         return float(off @ np.linalg.solve(noise + moved @ self._covariance @ moved.T, off))
 
     def _solve(self) -> None:
-        """From all things that were seen in two views or more, without those that did not stand. (27.9) to (27.11)"""
+        """Estimate the mount from all things seen in two views or more, without those that moved. (27.9) to (27.11)"""
         observed = [[view.mean() for view in thing.views] for thing in self._things if len(thing.views) > 1]
         while True:
             state, covariance = _adjusted(self._stated.covariance, observed)
@@ -147,12 +147,12 @@ Views = list[tuple[Array, Array, Array]]
 
 
 def own_covariance(one: Sighting) -> Array:
-    """Of what a picture adds by itself, (2, 2)."""
+    """Return the covariance (2, 2) of the error that a picture adds by itself, m2."""
     return one.own_share * one.covariance + LEAST_OWN_M**2 * np.eye(2)
 
 
 def slow_covariance(one: Sighting) -> Array:
-    """Of what the pictures about it have too, (2, 2)."""
+    """Return the covariance (2, 2) of the error that it shares with the pictures about it, m2."""
     return (1.0 - one.own_share) * one.covariance
 
 
@@ -170,7 +170,7 @@ def _adjusted(prior: Array, observed: list[Views]) -> tuple[Array, Array]:
 
 
 def _misfit(views: Views, state: Array) -> float:
-    """How far the views of one thing are from one place, chi-square of 2 n - 2 degrees of freedom. (27.11)"""
+    """Return how far the views of one thing are from one place: chi-square of 2 n - 2 degrees of freedom. (27.11)"""
     y, G, W = _columns(views)
     places = y + G @ state[:, None]
     off = places - np.linalg.solve(W.sum(axis=0), (W @ places).sum(axis=0))

@@ -1,4 +1,4 @@
-"""From pixels that stand out to regions with outlines."""
+"""Regions with outlines from pixels that stand out."""
 
 from __future__ import annotations
 
@@ -21,8 +21,10 @@ LENS_PX = 0.6  # one sigma of a thermal camera's blur; a pixel's own width comes
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """What stands out, in pixels of the picture: its middle (2,) and outline (N, 2), contrast in sigmas, the hottest
-    value and how far that is above its ground's. `significance` is contrast over what it must be, to compare by.
+    """A region that stands out, in pixels of the picture: its middle (2,), outline (N, 2), and contrast in sigmas.
+
+    `hottest`: its largest value; `above`: by how much that exceeds its ground's. `significance`: contrast over the
+    least that it must have, to compare regions by.
     """
 
     uv_px: Array
@@ -45,7 +47,7 @@ class Part:
     left: int
 
     def holds(self, row: int, column: int) -> bool:
-        """Whether a pixel of the picture belongs to it."""
+        """Return whether a pixel of the picture belongs to it."""
         height, width = self.level.shape
         i, j = row - self.up, column - self.left
         return 0 <= i < height and 0 <= j < width and bool(self.level[i, j] > 0.0)
@@ -61,8 +63,9 @@ def peaks(c: Contrast, least: float, most: int) -> NDArray[np.int64]:
 
 
 def about_peak(c: Contrast, peak: NDArray[np.int64], reach_px: int, least_px: float) -> Part | None:
-    """What is within half of a peak's excess and joined to it, in the picture of `c`; None if it reaches farther than
-    `reach_px` or has fewer than `least_px` pixels: it is of another size.
+    """Return the part within half of a peak's excess and joined to it, in the picture of `c`.
+
+    None if it is of another size: it reaches farther than `reach_px` or has fewer than `least_px` pixels.
     """
     row, column = int(peak[0]), int(peak[1])
     height, width = c.values.shape
@@ -157,9 +160,9 @@ def _outline(level: Image, finer: int) -> Array | None:
 
 
 def _on_level(level: Image, at: NDArray[np.int32]) -> Array:
-    """Where `level` (H, W) is 0 near its pixels (N, 2) just inside: a contour of pixels' middles is half a pixel small.
+    """Return points (N, 2) where `level` (H, W) is 0, near its pixels (N, 2) just inside.
 
-    One step of Newton along the gradient, of a pixel at most.
+    A contour of pixels' middles is half a pixel small: one step of Newton along the gradient, of a pixel at most.
     """
     column, row = at.T
     height, width = level.shape

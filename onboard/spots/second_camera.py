@@ -1,4 +1,4 @@
-"""What the first camera's sets give for a picture of the second: a set of its own, and how far its pixels may be off.
+"""A set for a picture of the second camera, from the first camera's sets, and how far its pixels may be off.
 
 The second camera is one more bundle of rays from a pose that is known with an error. Section 27.
 """
@@ -27,8 +27,10 @@ BEHIND = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Mount:
-    """How the second camera sits against the first: R_first_second (3, 3), how much later than its stamps state its
-    pictures were taken, s, and the covariance (4, 4) of both: R <- R exp([angles]).
+    """The pose of the second camera against the first, with its error.
+
+    R_first_second (3, 3); by how many seconds its pictures were taken later than their stamps; and the covariance (4,
+    4) of both: R <- R exp([angles]).
     """
 
     R_first_second: Array
@@ -37,13 +39,13 @@ class Mount:
 
     @classmethod
     def stated(cls, config: SecondCamera) -> Mount:
-        """As the configuration has it."""
+        """Return the mount that the configuration has."""
         angles = np.radians([config.roll_deg, config.pitch_deg, config.yaw_deg])
         sigmas = np.array([*3 * [np.radians(config.sigma_deg)], config.sigma_latency_s])
         return cls(R_GIMBAL_CAM.T @ matrix_from_euler(*angles) @ R_GIMBAL_CAM, 0.0, np.diag(sigmas**2))
 
     def __str__(self) -> str:
-        """As the configuration's keys have it."""
+        """Return the mount in the terms of the configuration's keys."""
         angles = np.degrees(euler_from_matrix(R_GIMBAL_CAM @ self.R_first_second @ R_GIMBAL_CAM.T))
         sigmas = np.sqrt(np.diag(self.covariance))
         named = (f"{name}_deg {angle:.2f}" for name, angle in zip(("roll", "pitch", "yaw"), angles, strict=True))
@@ -53,7 +55,7 @@ class Mount:
 
 @dataclass(frozen=True, eq=False)
 class Pointing:
-    """How the second camera's errors move what is at a pixel of its picture."""
+    """The effect of the second camera's errors at a pixel of its picture."""
 
     camera: Camera
     plane: Array  # (3,), in the second camera's axes: inverse depth of a ray
@@ -63,7 +65,7 @@ class Pointing:
     turn_sigma_rad: float  # of the pose between two pictures
 
     def by_state(self, uv_px: Array) -> Array:
-        """(2, 4): by how many pixels a pixel (2,) is off for each radian and second of the mount's errors.
+        """Return (2, 4): by how many pixels a pixel (2,) is off for each radian and second of the mount's errors.
 
         (27.4), (27.5)
         """
@@ -114,7 +116,7 @@ def set_of_second(look: Bracketed, camera: Camera, mount: Mount, lost_s: float) 
 
 
 def pixel_of_first(look: Bracketed, its_set: FeatureSet, mount: Mount, uv_px: Array) -> Array:
-    """Where the nearest picture of the first camera has what is at a pixel (2,) of the second's."""
+    """Return the pixel (2,) of the first camera's nearest picture that shows what `uv_px` (2,) of the second does."""
     near = look.nearest
     ray, _ = its_set.camera.unproject(uv_px)
     in_first = mount.R_first_second @ ray
@@ -164,7 +166,7 @@ def _moved(s: FeatureSet, camera: Camera, way_m: Array, R_enu_cam: Array, sigma_
 
 
 def _transport(R_here_there: Array, way_m: Array) -> Array:
-    """What a camera's common states are, seen from another (9, 9), by its rays about its optical axis. (27.2)"""
+    """Return a camera's common states as seen from another (9, 9), by its rays about its optical axis. (27.2)"""
     R = R_here_there
     x, y = R[0, 2] / R[2, 2], R[1, 2] / R[2, 2]
     turned = (R[:2, :2] - np.outer([x, y], R[2, :2])) / R[2, 2]

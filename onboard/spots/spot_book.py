@@ -136,7 +136,7 @@ class SpotBook:
         return outline, float(np.sqrt(np.median(np.abs(np.linalg.det(pixels)))))
 
     def _times_seen(self, one: Placed) -> int:
-        """In how many of the pictures before there was a spot on that ground."""
+        """Count the pictures before that had a spot on that ground."""
         near = (
             any(float(np.hypot(*(one.place_m - other.place_m))) < max(one.gate_m, other.gate_m) for other in before)
             for before in self._before
@@ -145,7 +145,7 @@ class SpotBook:
 
 
 def _polygon_m2(outline: Array) -> float:
-    """Of a polygon (N, 2)."""
+    """Return the area of a polygon (N, 2); 0 with fewer than three corners."""
     if len(outline) < 3:
         return 0.0
     x, y = outline.T
@@ -172,9 +172,10 @@ def area_and_sigma(outline: Array, region: Region, pixel_m: float, fix: Fix) -> 
 
 
 def shares(fixes: list[Fix], its_set: FeatureSet, pointed_m: list[Array]) -> tuple[float, float]:
-    """Of the fixes' horizontal variance, what the picture's have in common, and the session's. (25.12), (27.7)
+    """Return the shares of the fixes' horizontal variance that the picture's have in common, and the session's.
 
-    `pointed_m`: of each the root (2, k) of what a second camera adds, first the columns that last a session.
+    `pointed_m`: for each the root (2, k) of what a second camera adds, first the columns that last a session. (25.12),
+    (27.7)
     """
     if not fixes:
         return 0.0, 0.0

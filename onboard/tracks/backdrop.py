@@ -1,4 +1,4 @@
-"""What lies behind a thing: the same ground in earlier pictures, when the thing was elsewhere. (24.3) to (24.5)"""
+"""The ground behind a thing, from earlier pictures when the thing was elsewhere. (24.3) to (24.5)"""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def earlier(pictures: Pictures, seen: Seen) -> list[Seen]:
 
 
 def difference(pictures: Pictures, seen: Seen, patch: Patch) -> Image | None:
-    """How surely each pixel of a patch (S, S) shows something that was not there before, 0 to 1. (24.5)
+    """Return how surely each pixel of a patch (S, S) shows something that was not there before, 0 to 1. (24.5)
 
     None without at least two earlier pictures of the same ground.
     """

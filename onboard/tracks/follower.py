@@ -43,7 +43,7 @@ UNCHANGED, STILL_LIKENESS, STILL_SIGMA_PX = 0.1, 0.05, 0.3
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """Where a thing is in a picture (2,), px, one sigma of it, its size, and whether it was seen there or why not."""
+    """The place (2,) of a thing in a picture, px, one sigma of it, its size, and why it was not seen, if it was not."""
 
     seen: Seen
     uv_px: Array
@@ -58,7 +58,7 @@ class Observation:
 
 @dataclass(frozen=True, eq=False)
 class _Look:
-    """What the thing looked like: a patch about its place, and what that picture's ground has turned to since."""
+    """The look of a thing: a patch about its place, and how that picture's ground has turned since."""
 
     stamp_ns: int
     patch: Patch
@@ -66,7 +66,7 @@ class _Look:
     turned: Array  # (2, 2): pixels then -> now
 
     def warped(self, half: int) -> Image:
-        """The thing as it should look now, (2 half + 1) squared, about its middle."""
+        """Return the thing as it should look now, (2 half + 1) squared, about its middle."""
         back = np.linalg.inv(self.turned)
         middle = self.uv_px - self.patch.corner
         M = np.column_stack([back, middle - back @ np.array([half, half])])
@@ -97,7 +97,7 @@ class Follower:
 
     @property
     def uv_px(self) -> Array:
-        """Where it is taken to be (2,)."""
+        """The pixel (2,) at which the thing is now, seen or predicted."""
         return self._uv
 
     @property
@@ -106,11 +106,11 @@ class Follower:
 
     @property
     def has_look(self) -> bool:
-        """Whether there was anything to be followed: a click at the very border has none."""
+        """True if there was anything to be followed: a click at the very border has none."""
         return bool(self._looks)
 
     def is_lost(self, seen: Seen) -> bool:
-        """Whether it has not been seen for so long that it is given up."""
+        """Return whether it has not been seen for longer than LOST_AFTER_S."""
         return seen.stamp_ns - self._last_seen_ns > LOST_AFTER_S * 1e9
 
     def follow(self, seen: Seen) -> Observation:
@@ -263,7 +263,7 @@ class Follower:
         return centre + patch.corner, SPREAD * self._size * (1.0 + self._size / LARGE_PX)
 
     def _remember(self) -> None:
-        """What it looks like now, next to what it looked like OLD_S ago."""
+        """Keep how it looks now, next to how it looked OLD_S ago."""
         half = self._half()
         patch = cut(self._seen, self._uv, int(1.5 * half) + 2)
         if patch is None:
@@ -278,7 +278,7 @@ class Follower:
             self._looks = [self._looks[0], new]
 
     def _find_size(self) -> None:
-        """From what differs about the click, if the thing has been moving: its middle and how large it is."""
+        """Find its middle and size from what differs about the click, if the thing has been moving."""
         patch = cut(self._seen, self._uv, int(MOST_SIZE_PX))
         changed = None if patch is None else difference(self._pictures, self._seen, patch)
         if patch is None or changed is None:
@@ -297,7 +297,7 @@ class Follower:
 
 
 def _peak(values: Image, i: int, j: int) -> Array:
-    """How far from (i, j) a parabola through its neighbours has its peak, px."""
+    """Return the offset (2,) from (i, j) to the peak of a parabola through its neighbours, px."""
     out = np.zeros(2)
     for axis, (one, two) in enumerate((((j, i - 1), (j, i + 1)), ((j - 1, i), (j + 1, i)))):
         if min(*one, *two) < 0 or two[0] >= values.shape[0] or two[1] >= values.shape[1]:

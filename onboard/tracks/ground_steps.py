@@ -1,4 +1,4 @@
-"""How the ground moves from picture to picture: a homography from features all over the picture. (24.1)
+"""The ground's motion from picture to picture: a homography from features all over the picture. (24.1)
 
 What moves over the ground is a small part of a picture and is left out as an outlier. Pictures are kept, a bounded
 number of bytes of them, so that a click may be seconds old and what lay behind a thing is known.

@@ -35,11 +35,11 @@ LEAST_SPEED_M_S = 0.2  # below which a thing stands
 
 
 class Motion(Velocity):
-    """Of a thing that may be at rest."""
+    """The velocity of a thing that may be at rest."""
 
     @property
     def is_moving(self) -> bool:
-        """(24.17): whether it is no thing at rest."""
+        """True if it cannot be a thing at rest. (24.17)"""
         v = self.velocity_m_s
         return bool(self.speed_m_s > LEAST_SPEED_M_S and v @ np.linalg.solve(self.cov, v) > MOVES)
 

@@ -64,12 +64,12 @@ class Track:
         return self.state is TrackState.LOST
 
     def motion(self) -> Motion | None:
-        """How it moves; None before anything is known of it."""
+        """Return its velocity; None before anything is known of it."""
         is_known = self._filtered_ns - self._first_ns >= FIRST_SPEED_S * 1e9
         return None if self._filter is None or not is_known else self._filter.motion
 
     def report(self, session: int, vehicle: str) -> TrackReport:
-        """As of the newest picture."""
+        """Return its report as of the newest picture."""
         seen, observed, motion = self._seen, self._observed, self.motion()
         course = None if motion is None else motion.course(motion.is_moving)
         place = self._place(motion)
@@ -80,7 +80,9 @@ class Track:
         )  # fmt: skip
 
     def unheard(self, session: int, vehicle: str) -> TrackReport:
-        """As of the newest picture, when none has come for a while."""
+        """Return its report as of the newest picture when none has come for a while: unseen, and coasting if it was
+        followed.
+        """
         self.state = TrackState.COASTING if self.state is TrackState.FOLLOWED else self.state
         if self._observed.unseen is Unseen.NONE:
             self._observed = Observation(
@@ -166,6 +168,6 @@ class Track:
 
 
 def _metres_a_pixel(locator: Locator | None, uv_px: Array) -> float | None:
-    """On the ground at a pixel; None without a place."""
+    """Return the metres on the ground that a pixel spans; None without a place."""
     parts = None if locator is None else locator.error_parts(uv_px)
     return None if parts is None else float(np.sqrt(abs(np.linalg.det(parts.by_pixel_m[:2]))))

@@ -27,12 +27,12 @@ class TrackBook:
 
     @property
     def numbers(self) -> tuple[int, ...]:
-        """Of the tracks that have not been lost."""
+        """The tracks that have not been lost."""
         return tuple(n for n, track in self._tracks.items() if not track.is_lost)
 
     @property
     def frames(self) -> frozenset[int]:
-        """Of which pictures a track may begin in."""
+        """The pictures in which a track may begin."""
         return frozenset(seen.frame for seen in self._pictures)
 
     def picture(self, frame: Frame, its_set: FeatureSet) -> None:
@@ -71,12 +71,12 @@ class TrackBook:
         return True
 
     def stop(self, number: int) -> bool:
-        """Whether there was such a track."""
+        """End a track; return whether there was such a track."""
         self._lost_ns.pop(number, None)
         return self._tracks.pop(number, None) is not None
 
     def reports(self, is_silent: bool = False) -> list[TrackReport]:
-        """Of all tracks; `is_silent`: no picture has come for SILENT_S."""
+        """Return a report of each track; `is_silent`: no picture has come for SILENT_S."""
         each = ((t.unheard if is_silent else t.report) for t in self._tracks.values())
         return [of(self._session, self._vehicle) for of in each]
 
@@ -87,7 +87,7 @@ class TrackBook:
 
 
 def _locator(seen: Seen) -> Locator | None:
-    """Of the picture's set, once for all tracks; None where that gives no place."""
+    """Return the locator of the picture's set, made once for all tracks; None where the set gives no place."""
     if seen.its_set is None or not seen.its_set.is_ok:
         return None
     if seen.locator is None:
