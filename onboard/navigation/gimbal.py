@@ -44,7 +44,7 @@ class Gimbal:
 
     @property
     def is_certain(self) -> bool:
-        """Whether its attitude is the camera's without asking the pictures."""
+        """True if its attitude is the camera's without confirmation by the pictures."""
         return self._setting == "always" or (self._setting == "auto" and self._is_of_camera)
 
     def insert(self, event: GimbalAttitude) -> None:

@@ -1,4 +1,4 @@
-"""Whether a position is accepted, and with what sigma: receiver, autopilot's filter, position against velocity.
+"""Acceptance of positions, and their sigmas: receiver, autopilot's filter, position against velocity.
 
 GPS is accepted until the messages contradict it: a lost or silent fix, a jump that the velocity does not explain, or a
 filter that slips (moves its position against its own velocity, as it does while it corrects an error) refuses every
@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 
 class Refusal(StrEnum):
-    """Why no position is accepted: the words that people see."""
+    """Reasons why no position is accepted: the words that people see."""
 
     NOTHING_YET = "no position yet"
     UNHEARD = "waiting for the receiver's and the filter's own report"
@@ -58,10 +58,10 @@ class GpsIntegrity:
         self.jumps.begin(jumped_ns)
 
     def first_accepted(self, fixes: Series[PositionFix], now_ns: int) -> tuple[list[PositionFix], str]:
-        """Which of the first positions may be accepted with data up to `now_ns`; why, if none may.
+        """The first positions that may be accepted with data up to `now_ns`, and the reason if there are none.
 
-        Receiver and filter are waited for: a filter without a fix reports a place that it remembers, and its own
-        report may come later than that place.
+        Reports of receiver and filter are awaited: a filter without a fix reports a place that it remembers, and its
+        own report may come later than that place.
         """
         receiver, filters = self.quality.values, self.filter.values
         is_waiting = now_ns - fixes.stamps_ns[0] < self._gps.quality_timeout_s * 1e9
@@ -73,7 +73,7 @@ class GpsIntegrity:
 
     @property
     def unfit(self) -> str:
-        """Why there is no position by the newest report of receiver or filter; empty if neither denies it."""
+        """The reason for no position by the newest report of receiver or filter; empty if neither denies it."""
         if self.quality.values and not self.quality.values[-1].has_fix:
             return self._no_fix
         if self.filter.values and not self.filter.values[-1].has_position:
@@ -94,7 +94,7 @@ class GpsIntegrity:
             self.jumps.append(self.positions, self.claims(stamp_ns))
 
     def judge(self, moment_ns: int) -> tuple[str, float]:
-        """Why a position at a moment is not accepted, empty if it is; and one sigma (m) of its white part."""
+        """The reason why a position at a moment is not accepted, empty if it is; one sigma (m) of its white part."""
         slip = slip_at(self.positions, moment_ns, self._gps)
         slips = f"position moves {slip.surely_m_s:.1f} m/s against velocity"
         fault = (
@@ -130,9 +130,9 @@ class GpsIntegrity:
         return max((quality.sigma_datum_m or 0.0 for quality in self.quality.latest(moment_ns)), default=0.0)
 
     def _was_unfit(self, start_ns: int, end_ns: int, moved_m: float) -> bool:
-        """Whether receiver or filter reported an error as large as `moved_m` shortly before or in a stretch of time.
+        """Return whether receiver or filter reported an error as large as `moved_m` in or shortly before a stretch.
 
-        The position that follows then corrects what was known to be wrong.
+        The position that follows then corrects an error that was known.
         """
         claims = self.quality.between(start_ns - LONG_NS, end_ns).values
         reports = self.filter.between(start_ns - LONG_NS, end_ns).values

@@ -44,7 +44,7 @@ FRAME_REACH_M = 20_000.0
 
 @dataclass(frozen=True, eq=False)
 class GroundRange:
-    """What the range finder measures: the vector (3,), ENU m, from vehicle to ground, and one sigma along it."""
+    """The range finder's measurement: the vector (3,), ENU m, from vehicle to ground, and one sigma along it."""
 
     vector_enu_m: Array
     sigma_m: float
@@ -194,10 +194,10 @@ class Navigation:
         self._integrity.note_position(fix.stamp_ns - self._latency_ns, Position(enu, velocity, fix.height_above_home_m))
 
     def covers(self, stamp_ns: int, delay_ns: int = 0) -> bool:
-        """Whether `state_at` can do no better by waiting: data after this moment has arrived.
+        """Return whether waiting would not improve `state_at`: data after this moment has arrived.
 
-        Attitude counts if the configuration uses it and any has been seen; none is waited for that would come so late
-        that nothing could be joined with it.
+        Attitude counts if the configuration uses it and any has been received; one that would come too late to be
+        interpolated with is not awaited.
         """
         positions = self._integrity.positions
         if not positions.covers(stamp_ns + delay_ns):
@@ -208,13 +208,13 @@ class Navigation:
 
     @property
     def behind_ns(self) -> int:
-        """How long after a moment what it is joined by comes, beyond what any link takes: latency and spacing."""
+        """The time after a moment until its telemetry has arrived, beyond any link's delay: latency and spacing."""
         positions_ns = self._integrity.positions.spacing_ns + max(self._latency_ns, 0)
         return max(positions_ns, self._attitudes.spacing_ns)
 
     @property
     def received(self) -> tuple[bool, bool]:
-        """Whether there are attitudes of the vehicle, and of a gimbal, that may be used."""
+        """Two flags: usable attitudes of the vehicle, and of a gimbal, have been received."""
         if self.config.solve.attitude == "none":
             return False, False
         has_gimbal = self.config.mount.gimbal != "never" and bool(self.gimbal.attitudes.stamps_ns)
@@ -222,7 +222,10 @@ class Navigation:
 
     @property
     def _mount(self) -> MountHypothesis:
-        """Whose attitude the camera's is: the hypothesis that is accepted, as far as it has sent any."""
+        """The mount hypothesis in use: the accepted one, as far as attitudes for it have been received.
+
+        A gimbal's attitude is used instead of a fixed mount's if it is certain, or the only one received.
+        """
         if self.config.mount.gimbal == "never" or not self.gimbal.attitudes.stamps_ns:
             return MountHypothesis.MOUNT
         has_no_other = self.gimbal.is_certain or not self._attitudes.stamps_ns
@@ -292,7 +295,7 @@ class Navigation:
         )
 
     def was_accepted(self, start_ns: int, end_ns: int) -> bool:
-        """Whether no position between two moments was refused; a gap in telemetry alone is no reason to refuse them."""
+        """Return whether no position between two moments was refused; a gap in telemetry alone is no refusal."""
         gps, before_ns, next_ns = self.config.gps, start_ns, start_ns
         for stamp_ns in self._integrity.positions.between(start_ns + 1, end_ns - 1).stamps_ns:
             if stamp_ns - before_ns > gps.max_gap_s * 1e9:

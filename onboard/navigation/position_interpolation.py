@@ -44,9 +44,9 @@ class Displacement:
 
 @dataclass(frozen=True, eq=False)
 class Joined:
-    """How a position was joined from those that came: the weight of each, by its stamp.
+    """The weights, by stamp, of the received positions that one position was interpolated from.
 
-    `between_m`: one sigma (3,), ENU m, of what the vehicle did between them.
+    `between_m`: one sigma (3,), ENU m, of the vehicle's unknown motion between them.
     """
 
     weights: dict[int, float] = field(default_factory=dict)
@@ -72,7 +72,7 @@ class Path(Series[Position]):
         return Position(enu, (1 - s) * self.velocity(left) + s * self.velocity(right), above_home)
 
     def joined_at(self, moment_ns: int) -> Joined:
-        """What `at`'s position is joined from, and what it may be off by because positions come rarely. (1.9)"""
+        """The weights of `at`'s position, and its interpolation error because positions come rarely. (1.9)"""
         bracket = self.bracket(moment_ns)
         if bracket is None or bracket[0] == bracket[1]:
             return Joined()

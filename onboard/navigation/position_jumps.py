@@ -36,7 +36,7 @@ SHARED_WITH_VELOCITY = 0.5 * float(np.e)
 
 @dataclass(frozen=True, eq=False)
 class _Entry:
-    """What is doubted from a stamp on: the jumps' sum (3,), ENU m, and what decays (horizontal, vertical), m."""
+    """The doubt from a stamp on: the jumps' sum (3,), ENU m, and a part that decays (horizontal, vertical), m."""
 
     stamp_ns: int
     unexplained_m: Array
@@ -44,12 +44,12 @@ class _Entry:
     stretch: int
 
     def decayed(self, moment_ns: int, time_s: float) -> Array:
-        """What is left of the part that decays: horizontal and vertical, m."""
+        """The rest of the part that decays: horizontal and vertical, m."""
         out: Array = self.decaying_m * np.exp(-max(moment_ns - self.stamp_ns, 0) / 1e9 / time_s)
         return out
 
     def at(self, moment_ns: int, time_s: float) -> Array:
-        """Horizontal and vertical, m."""
+        """One sigma of the doubt at a moment: horizontal and vertical, m."""
         return np.asarray(np.hypot(_parts(self.unexplained_m), self.decayed(moment_ns, time_s)), float)
 
 
@@ -90,7 +90,7 @@ class PositionJumps:
         self._refused.append((start_ns, end_ns + round(self._gps.settle_s * 1e9), why))
 
     def refusal_at(self, moment_ns: int) -> str:
-        """Why a moment is refused: a jump that has not settled; empty if there is none."""
+        """The reason for refusing a moment: a jump that has not settled; empty if there is none."""
         return next((why for start_ns, end_ns, why in self._refused if start_ns <= moment_ns < end_ns), "")
 
     def at(self, moment_ns: int) -> Array:

@@ -1,7 +1,7 @@
-"""How fast the filter certainly moves its position against its own velocity: more than what it is known to do.
+"""Slip: the speed at which the filter certainly moves its position against its own velocity.
 
 A filter whose positions are late by more than it assumes moves its position against its velocity whenever it is
-accelerated, and nothing is wrong with it then. What that may come to is part of the test's own covariance.
+accelerated, and nothing is wrong with it then. That slip is part of the test's own covariance.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ DYNAMIC_TIME_S = 3.0  # that a navigation filter takes to forget what accelerati
 
 @dataclass(frozen=True)
 class Slip:
-    """How fast the filter certainly moves its position sideways of its velocity, and the dispersion about that (m).
+    """The filter's certain horizontal slip against its own velocity, and the dispersion about it (m).
 
-    `in_turns_m_s`: one sigma of what acceleration makes a filter do that is in order. (5.21)
+    `in_turns_m_s`: one sigma of the slip that acceleration causes in a filter that is in order. (5.21)
     """
 
     surely_m_s: float = 0.0
@@ -35,7 +35,7 @@ class Slip:
     in_turns_m_s: float = 0.0
 
     def exceeds(self, limit_m_s: float) -> bool:
-        """Whether it is more than a limit and acceleration explain together. (5.22)"""
+        """Return whether it is more than a limit and acceleration explain together. (5.22)"""
         return self.surely_m_s > float(np.hypot(limit_m_s, LIKELY_SIGMAS * self.in_turns_m_s))
 
 
@@ -72,9 +72,9 @@ def slip_at(positions: Series[Position], moment_ns: int, gps: Gps) -> Slip:
 
 
 def _slip_by_latency(positions: Series[Position], moments_ns: Times) -> Array:
-    """How a filter slips (n, 2), m/s, at some moments (n,) by a latency that is off by 1 s. Equation (5.21).
+    """The slip (n, 2), m/s, of a filter at some moments (n,) if its latency is off by 1 s. Equation (5.21).
 
-    Taken from the velocities' own steps: those of a filter that corrects itself are nothing next to a turn's.
+    It follows from the velocities' own steps: those of a filter that corrects itself are small next to a turn's.
     """
     held = positions.between(int(moments_ns[0]) - LONG_NS, int(moments_ns[-1]))
     velocities = [p.velocity_enu_m_s for p in held.values]

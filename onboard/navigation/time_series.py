@@ -37,7 +37,7 @@ class Series(Generic[T]):
         return index
 
     def covers(self, moment_ns: int) -> bool:
-        """Whether there is a value before a moment, and one after it."""
+        """Return whether there are values at or before a moment, and at or after it."""
         return bool(self.stamps_ns) and self.stamps_ns[0] <= moment_ns <= self.stamps_ns[-1]
 
     def has_gap(self, moment_ns: int, received_ns: int) -> bool:
@@ -64,7 +64,7 @@ class Series(Generic[T]):
         return (self.stamps_ns[right] - self.stamps_ns[left]) / 1e9
 
     def share(self, left: int, right: int, moment_ns: int) -> float:
-        """Of the time from one value to another, how much has passed at a moment; 0 where both are the same."""
+        """The share of the time from one value to another that has passed at a moment; 0 if both are the same."""
         gap_ns = self.stamps_ns[right] - self.stamps_ns[left]
         return (moment_ns - self.stamps_ns[left]) / gap_ns if gap_ns else 0.0
 
@@ -75,7 +75,7 @@ class Series(Generic[T]):
         return max((gap_ns for gap_ns in recent if gap_ns <= self.max_gap_s * 1e9), default=0)
 
     def between(self, start_ns: int, end_ns: int) -> Series[T]:
-        """What is held from one moment to another, both included."""
+        """The values from one moment to another, both included."""
         part = slice(bisect.bisect_left(self.stamps_ns, start_ns), bisect.bisect_right(self.stamps_ns, end_ns))
         return Series(self.max_gap_s, self.stamps_ns[part], self.values[part])
 

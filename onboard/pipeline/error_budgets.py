@@ -34,10 +34,10 @@ class NewestBudget:
             self.newest = placed
 
     def at(self, now_ns: int) -> Budget | None:
-        """Of a click in the middle of the newest picture, again after `LONG_NS`: shares change with turns.
+        """The budget of a click in the middle of the newest picture, computed again every `LONG_NS`: turns change it.
 
-        None without a new picture, and where its window's numbers cannot be split: it is an advice, and must not end a
-        flight.
+        None without a recent picture, and if its window's covariance cannot be split: a budget is only advice and must
+        not end a flight.
         """
         newest = self.newest
         if newest is None or now_ns - newest.feature_set.capture_unix_ns > 3 * LONG_NS:

@@ -1,4 +1,4 @@
-"""What a flight has found of its own platform and sensors, each with a name, a unit and its sigma, for people."""
+"""A flight's estimates of its own platform and sensors, each with a name, a unit and its sigma, for people."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Contradiction:
 
     @property
     def is_now(self) -> bool:
-        """Whether it is held to be wrong now."""
+        """True while it is taken to be wrong."""
         return self.sigma_times**2 > FORGOTTEN
 
     def __str__(self) -> str:
@@ -78,15 +78,15 @@ def contradictions_of(failing: Failing, now_ns: int) -> tuple[Contradiction, ...
 
 
 def in_words(contradictions: Iterable[Contradiction]) -> str:
-    """Those of now in one line; empty if there are none."""
+    """The present contradictions in one line; empty if there are none."""
     return "; ".join(str(c) for c in contradictions if c.is_now)
 
 
 def estimates_of(platform: PlatformEstimate | None) -> tuple[Estimate, ...]:
-    """What is estimated of mount, clock, delays, compass and camera; empty before the first estimate.
+    """The estimates of mount, clock, delays, compass and camera; empty before the first one.
 
-    Delays are what positions and velocities are older than their stamps beyond `gps.latency_s`; the heading read
-    is too small by the first component times the cosine of the heading plus the second times its sine.
+    Delays: the age of positions and velocities at their stamps, beyond `gps.latency_s`. The measured heading is too
+    small by the first component times the cosine of the heading plus the second times its sine.
     """
     if platform is None:
         return ()
@@ -97,7 +97,7 @@ def estimates_of(platform: PlatformEstimate | None) -> tuple[Estimate, ...]:
 
 
 def unconfirmed_of(found: Unconfirmed | None) -> tuple[Estimate, ...]:
-    """What was found too far from the prior to be adopted before anything confirms it; empty if nothing was."""
+    """Estimates too far from the prior to be adopted before another window confirms them; empty if there are none."""
     if found is None:
         return ()
     outside = [q.name for q, at in present(len(found.outside)) if np.any(found.outside[at])]
@@ -110,7 +110,7 @@ def not_adopted(unconfirmed: Iterable[Estimate]) -> str:
 
 
 def relative_variance_of(relative: RelativeVariance) -> tuple[Estimate, ...]:
-    """By what factor the variances of relative positions were found too small, and published larger; 1: as stated.
+    """The factor by which the variances of relative positions were found too small, and published larger; 1: as stated.
 
     Empty before points have been seen again.
     """
@@ -126,7 +126,7 @@ def sensor_errors(config: Config, factors: VarianceFactors) -> tuple[SensorError
 
 
 def larger_than_declared(errors: Iterable[SensorError]) -> str:
-    """Those that the flight showed to be larger than configured: `heading 3.8 deg, declared 2`; empty if none."""
+    """The errors that the flight showed to be larger than configured: `heading 3.8 deg, declared 2`; empty if none."""
     return "; ".join(str(e) for e in errors if e.sigma > SHOWN * e.declared)
 
 

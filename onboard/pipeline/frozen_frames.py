@@ -34,7 +34,7 @@ class Staleness:
     def is_stale(
         self, image: NDArray[np.uint8], nav: NavState, state_at: Callable[[int], NavState | Status] | None = None
     ) -> bool:
-        """Whether a picture (H, W) is an old one, seen from elsewhere.
+        """Return whether a picture (H, W) repeats an older one though the camera has moved since.
 
         `state_at` looks the older picture's state up again: the time offset may have been learned since.
         """
@@ -64,7 +64,7 @@ class Stillness:
         self._ids, self._uv, self._predicted, self._stamp_ns = ids, uv_px, np.eye(3), stamp_ns
 
     def is_old(self, tracks: Tracks, predicted: Array, stamp_ns: int) -> bool:
-        """Whether `tracks` stand still though `predicted` (3, 3), from the keyframe, shows that they cannot."""
+        """Return whether `tracks` stand still though `predicted` (3, 3), from the keyframe, shows that they cannot."""
         _, here, there = np.intersect1d(tracks.ids, self._ids, assume_unique=True, return_indices=True)
         at, to = tracks.keyframe_uv_px[here], tracks.uv_px[here]
         if not len(here) or _median(to - self._uv[there]) > STILL_PX * self._px:

@@ -27,7 +27,7 @@ LEAST_OFFSET_S, LEAST_DELAY_S = 0.003, 0.02  # of 3 rad/s and 30 m/s: half a deg
 
 
 def wants_keyframe(tracks: Tracks, size_px: tuple[int, int]) -> bool:
-    """Whether the picture with these tracks should be the next keyframe."""
+    """Return whether the picture with these tracks should be the next keyframe."""
     shift = middle(np.linalg.norm(tracks.uv_px - tracks.keyframe_uv_px, axis=1))
     linear = tracks.motion[:2, :2]
     turn = abs(float(np.arctan2(linear[1, 0] - linear[0, 1], linear[0, 0] + linear[1, 1])))
@@ -69,7 +69,7 @@ def look_up_again(window: Window, navigation: Navigation) -> None:
 
 
 def profile_of(outcome: Outcome, window: Window, navigation: Navigation) -> ClockProfile | None:
-    """How well a solved window's orientations fit the autopilot's attitudes at other time offsets; None if unknown."""
+    """The fit of a solved window's orientations to the autopilot's attitudes over time offsets; None if unknown."""
     found = outcome.solved or outcome.rejected or outcome.weighed
     if found is None or stamp_sigma_s(outcome.keyframes):
         return None

@@ -1,8 +1,8 @@
-"""Which of the 24 ways that a camera can sit in a vehicle, right-angled to its axes, a flight's pictures confirm.
+"""The search for a camera's mount among the 24 orientations at right angles to the vehicle's axes, by pictures.
 
-Each way predicts, from the vehicle's own motion over level ground, where a keyframe's features come to lie in the next
-pictures; the one that is right predicts them, up to how far the camera sits askew. As in `mount_selection`, with the
-features found without any prediction.
+Each orientation predicts, from the vehicle's own motion over level ground, where a keyframe's features come to lie in
+the next pictures; the right one predicts them, up to the camera's deviation from right angles. As in `mount_selection`,
+with the features found without any prediction.
 """
 
 from __future__ import annotations

@@ -48,9 +48,9 @@ WINS = 2  # solves in a row that only one other hypothesis fits
 def cost_of(
     camera: Camera, poses: Sequence[Pose], plane: Array, from_px: Array, to_px: Array, sigmas: float = 1.0
 ) -> float:
-    """How far tracks (N, 2) lie from where two `poses` over a plane predict them, squared in sigmas and at most `MOST`.
+    """The squared distance, in sigmas and at most `MOST`, of tracks (N, 2) from their prediction by two `poses`.
 
-    `sigmas`: how many times as large as usual a sigma is.
+    The median of the tracks counts. `plane`: of the ground. `sigmas`: the factor on the usual sigma.
     """
     flow_px = float(np.median(np.linalg.norm(to_px - from_px, axis=1)))
     predicted_px, known = predict_pixels(camera, from_px, poses[0], poses[1], plane)
@@ -74,11 +74,11 @@ class MountSelection:
         self.verdict: MountHypothesis | None = None
 
     def is_open(self, nav: NavState) -> bool:
-        """Whether hypotheses differ at this picture and none has been selected yet."""
+        """Return whether hypotheses differ at this picture and none has been selected yet."""
         return self.verdict is None and _differ(nav.mount_hypotheses.values())
 
     def mounted_on(self, navigation: Navigation) -> str:
-        """What the camera is assumed to be mounted on, and why, in words."""
+        """The assumed mount of the camera, and why, in words."""
         has_vehicle, has_gimbal = navigation.received
         if not has_gimbal:
             return "fixed mount" if has_vehicle else "unknown: no attitude is used"
@@ -168,7 +168,7 @@ class MountSelection:
 
 
 def _differ(attitudes: Iterable[Array]) -> bool:
-    """Whether any attitude (3, 3) differs from the first by so much that one of them must be chosen."""
+    """Return whether any attitude (3, 3) differs from the first by so much that one of them must be chosen."""
     known = list(attitudes)
     return any(np.linalg.norm(log_so3(known[0].T @ other)) > SAME_RAD for other in known[1:])
 

@@ -1,4 +1,4 @@
-"""How the camera moved by telemetry: from the keyframe to the next picture, and, row after row, during one picture."""
+"""The camera's motion by telemetry: from the keyframe to the next picture, and, row after row, during one picture."""
 
 from __future__ import annotations
 
@@ -57,10 +57,10 @@ def predict_motion(window: Window, navigation: Navigation, was_nav: NavState, na
 
 
 def what_parts(was: NavState, now: NavState, navigation: Navigation, offset_ns: int) -> Break | None:
-    """Why no window may hold both: navigation was lost in between, position or stamps jumped, or too long ago.
+    """The reason why no window may hold both states; None if one may.
 
-    Pictures that come slowly are no outage: in between, navigation had accepted positions. `offset_ns`: camera to
-    autopilot.
+    Navigation was lost in between, position or stamps jumped, or they are too far apart. Pictures that come slowly are
+    no outage: in between, navigation had accepted positions. `offset_ns`: camera to autopilot.
     """
     apart_ns = now.stamp_ns - was.stamp_ns
     if now.stretch != was.stretch:
@@ -75,9 +75,9 @@ def what_parts(was: NavState, now: NavState, navigation: Navigation, offset_ns: 
 
 
 def moving_at(window: Window, navigation: Navigation, nav: NavState) -> Moving | None:
-    """Of the picture with this state; None where all rows are exposed at once.
+    """The camera's motion while the picture with this state is read; None if all rows are exposed at once.
 
-    Without attitude the camera is taken to turn as it did between the newest keyframes.
+    Without attitude the camera is assumed to turn as it did between the newest keyframes.
     """
     if not window.config.camera.is_rolling:
         return None
@@ -127,7 +127,7 @@ def _inverse_depth(R_cam_enu: Array, plane: Array | None, centre_enu_m: Array) -
 
 
 def _moved_px(camera: Camera, uv_px: Array, moving: Moving) -> Array:
-    """How far (N, 2) what these pixels see has moved since the middle row; the lens's distortion left out."""
+    """The displacement (N, 2) since the middle row of what these pixels see; the lens's distortion is left out."""
     focal = np.array([camera.fx_px, camera.fy_px])
     xy = (uv_px - (camera.cx_px, camera.cy_px)) / focal
     share = np.asarray(row_share(np.clip(uv_px[:, 1], 0.0, camera.height_px - 1.0), camera.height_px))

@@ -123,7 +123,7 @@ class Pipeline:
 
     @property
     def _is_next_ready(self) -> bool:
-        """Whether telemetry on both sides of the next picture has arrived, or is waited for no longer."""
+        """True if telemetry on both sides of the next picture has arrived, or is awaited no longer."""
         if not self._waiting:
             return False
         # The moment that counts is the autopilot's: extrapolating to it would bend what is learned of the offset.
@@ -408,7 +408,7 @@ class Pipeline:
             self._refuse_record(record, result)
 
     def _feature_set(self, record: Record) -> FeatureSet | Status:
-        """From the window's own points, else over a known ground; otherwise the reason why not."""
+        """The picture's set by the window's own points, else over a known ground; otherwise the reason for none."""
         taken, nav, solved = record.frame, record.nav, self.window.solved
         assert self._frame is not None and self.session is not None
         identity = self.config.vehicle.id, self.session, taken.index, taken.stamp_ns
@@ -432,7 +432,7 @@ class Pipeline:
         return result if over is None else over
 
     def _seen(self, nav: NavState, tracks: Tracks) -> Observation:
-        """What a picture saw, by the calibration that it is placed by."""
+        """The picture's observations, by the calibration that it is placed by."""
         camera, moving = (self.window.solved or self.window).camera, moving_at(self.window, self.navigation, nav)
         return observation(camera, tracks.ids, tracks.uv_px, moving)
 

@@ -53,11 +53,11 @@ class Placing:
         return placed.feature_set
 
     def is_needless(self, solved: Solved, record: Record) -> bool:
-        """Whether clicks on the picture have the answers already that `solved` would give them."""
+        """Return whether clicks on the picture already have the answers that `solved` would give them."""
         return record.placed is not None and self._revisions.is_needless(record.placed, solved)
 
     def _near(self, record: Record) -> Placed | None:
-        """As a picture that was taken shortly before or after this one was placed."""
+        """The placing of a picture taken shortly before or after this one; None if there is none."""
         for other in (self._settled, self._newest):
             if other is not None and abs(record.nav.stamp_ns - other.nav.stamp_ns) <= NEAR_NS:
                 return other.placed if other.nav.stretch == record.nav.stretch else None

@@ -40,7 +40,7 @@ class Record:
 
     @cached_property
     def seen(self) -> Observation:
-        """What the picture saw: its features are undistorted when it is placed, and again by a newer calibration."""
+        """The picture's observations: undistorted when it is placed, and again by a newer calibration."""
         return self.look()
 
 
@@ -84,13 +84,14 @@ class RecordBook:
         return taken
 
     def may_wait(self, stamp_ns: int, has_newer: bool) -> bool:
-        """Whether a picture's first set may be its last. `has_newer`: a newer one can be placed with what has come.
+        """Return whether a picture may wait, so that its first set is its last.
 
-        Only while placing succeeds: that pictures are refused must be known at once, and what is refused costs little.
+        `has_newer`: a newer picture can be placed already. True only while placing succeeds: refusals must be known at
+        once, and cost little.
         """
         newest_ns = self._newest_ns
         return newest_ns is not None and (has_newer or 0 <= stamp_ns - newest_ns < self._interval_ns)
 
     def note_first(self, stamp_ns: int, is_placed: bool) -> None:
-        """What became of a picture that did not wait."""
+        """Note whether a picture that did not wait was placed."""
         self._newest_ns = stamp_ns if is_placed else None

@@ -1,4 +1,4 @@
-"""What became of a flight's pictures, counted in bounded memory: why none has an answer, and where the time went."""
+"""Outcomes of a flight's pictures, counted in bounded memory: why none has an answer, and where the time went."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ MIN_SPAN = 0.1  # of the height above ground, travelled during a window: less is
 
 
 class Break(Enum):
-    """Why no window may hold both a picture and the one before it."""
+    """Reasons why no window may hold both a picture and the one before it."""
 
     APART = "apart"
     OUTAGE = "outage"
@@ -81,7 +81,7 @@ class LeftOut:
 
 @dataclass
 class Summary:
-    """What became of the pictures. `refused` counts reasons; `stage_seconds` is processor time by stage."""
+    """Outcomes of the pictures. `refused` counts reasons; `stage_seconds` is processor time by stage."""
 
     frames: int = 0
     shortfall: Shortfall | None = None  # why nothing was solved, where nothing was
@@ -139,7 +139,7 @@ class RunStatistics:
             del self._status[next(iter(self._status))]
 
     def note_state(self, last: NavState | None, nav: NavState, parted_by: Break | None) -> None:
-        """Where a picture was taken, and the one before it; and what parts the two, if anything does."""
+        """Note the states of a picture and of the one before it, and the break between the two, if there is one."""
         if last is not None:
             self._apart_s.append((nav.stamp_ns - last.stamp_ns) / 1e9)
             self._parted_by.append(parted_by)
@@ -150,9 +150,9 @@ class RunStatistics:
         self._height_m = self._height_m if nav.height_above_home_m is None else nav.height_above_home_m
 
     def note_overlap(self, camera: Camera, predicted: Array | None, was: NavState | None, nav: NavState) -> float:
-        """How much (0 to 1) of the keyframe of `was` this picture should show; 1 where that is not known.
+        """Note and return the share (0 to 1) of the keyframe of `was` that this picture should show; 1 if not known.
 
-        By the motion since, `predicted` H (3, 3), else as if looking down.
+        It follows from the motion since, `predicted` H (3, 3), else as if the camera looked straight down.
         """
         if was is None:
             return 1.0
@@ -236,7 +236,7 @@ class RunStatistics:
         )
 
     def _shortfall_of(self, why: Status | Break) -> Shortfall:
-        """What it means that so many pictures have a status, or that so many pairs of them are parted."""
+        """The shortfall, with its remedy, behind a status of many pictures or a break between many pairs of them."""
         count, pairs = self._outcomes[why] if isinstance(why, Status) else self._breaks[why], len(self._apart_s)
         where = f"between {count} of {pairs} pairs of pictures"
         usual_s, most_s = np.median(self._apart_s or [0.0]), MEMORY_NS / 1e9 / self._config.solve.keyframes

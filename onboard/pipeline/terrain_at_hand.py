@@ -18,7 +18,7 @@ TERRAIN_SPACING_M = 20.0
 
 
 class TerrainSource(Protocol):
-    """Where elevation comes from."""
+    """A source of elevations."""
 
     def around(
         self, frame: LocalFrame, centre_enu_m: Array, radius_m: float, spacing_m: float, undulation_m: float

@@ -106,7 +106,7 @@ class ZoomFollowing:
         return log_focal if table is None or table.has(log_focal) else None
 
     def is_moving(self, stamp_ns: int) -> bool:
-        """Whether the lens may be moving in a picture with this stamp, by what has been reported so far."""
+        """Return whether the lens may be moving in a picture with this stamp, by the reports so far."""
         return not self._is_standing and self.suspect_since_ns <= stamp_ns <= self._until_ns
 
     def stands(self, stamp_ns: int) -> tuple[Camera, float] | None:
