@@ -1,4 +1,4 @@
-"""From a driver's buffers to Frames: which time, which were lost, which are worth looking at. No device, no clock.
+"""Frames from a driver's buffers: their times, which were lost, which are worth looking at. No device, no clock.
 
 A picture is passed on with no image when it is damaged, and when it repeats the one before to the last bit: a sensor's
 noise never does, so a repeat is an old picture under a new time stamp, the one thing that must not be georeferenced.
@@ -150,7 +150,9 @@ class Pictures:
         return None if has_waited or buffer.has_waited else now_ns
 
     def _is_fresh(self, image: Grey | ThermalCounts | None, now_ns: int) -> bool:
-        """Whether a picture, as the camera gave it, is neither damaged (None) nor repeats the last one."""
+        """Return whether a picture, as the camera gave it, is neither damaged (None) nor a repeat of the last one;
+        count it.
+        """
         if image is None:
             self.counts.damaged += 1
             self._damaged_in_a_row += 1
@@ -178,7 +180,7 @@ class Pictures:
         return change < STILL_SHARE * usual
 
     def frozen_s(self, now_ns: int) -> float:
-        """For how long the same picture has come again and again."""
+        """Return for how long, in s, the same picture has come again and again."""
         return 0.0 if self._same_since_ns is None else (now_ns - self._same_since_ns) / 1e9
 
     @property
@@ -190,11 +192,13 @@ class Pictures:
 
     @property
     def stamped_at(self) -> str:
-        """What the driver reports its stamps to be: the 'start' or the 'end' of the picture; '' before the first."""
+        """The moment at which the driver takes its stamps: the 'start' or the 'end' of the picture; '' before the
+        first.
+        """
         return self._source
 
     def complaints(self) -> list[str]:
-        """What is not as it should be, in words."""
+        """Return a line for each thing that is not as it should be."""
         found = []
         if self._uses_arrival:
             found.append("stamps are not of CLOCK_MONOTONIC: times of arrival are used, later by an unknown delay")

@@ -1,4 +1,4 @@
-"""What the status reports of any live camera: its figures, and a stream that has stopped or repeats one picture."""
+"""Status of a live camera: its figures, and a stream that has stopped or repeats one picture."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ PERIODS = 3.0
 
 
 def patience_s(config: CameraConfig) -> float:
-    """How long a camera that has sent pictures may be silent before it counts as lost."""
+    """Return how long, in s, a camera that has sent pictures may be silent before it counts as lost."""
     return max(config.lost_after_s, PERIODS / config.rate_hz)
 
 

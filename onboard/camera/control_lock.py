@@ -33,7 +33,7 @@ _DISABLED, _READ_ONLY = 0x1, 0x4
 
 @dataclass(frozen=True)
 class Wanted:
-    """What shall be held; None: not touched."""
+    """The values to hold; None: not touched."""
 
     exposure_us: float | None = None
     gain: float | None = None

@@ -1,4 +1,4 @@
-"""Which V4L2 devices there are, who they are, and how to find one again under another number."""
+"""V4L2 devices: which there are, what identifies each, and how to find one again under another number."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SYS = Path("/sys/class/video4linux")
 
 @dataclass(frozen=True)
 class Identity:
-    """What stays the same of a camera when it comes back: all that the kernel and udev know it by."""
+    """The identity of a camera that stays when it comes back: all that the kernel and udev know it by."""
 
     driver: str
     card: str
@@ -54,7 +54,7 @@ def stable_names(path: str, dev: Path = DEV) -> dict[str, list[str]]:
 
 
 def identity(path: str, card: Card, dev: Path = DEV, sys: Path = SYS) -> Identity:
-    """Who the device at `path` is."""
+    """Return the identity of the device at `path`."""
     try:
         index = (sys / Path(path).resolve().name / "index").read_text().strip()
     except OSError:
@@ -63,7 +63,7 @@ def identity(path: str, card: Card, dev: Path = DEV, sys: Path = SYS) -> Identit
 
 
 def candidates(configured: str, dev: Path = DEV) -> list[str]:
-    """Where to look for a camera that has been open before: its own path first."""
+    """Return the paths at which to look for a camera that has been open before, its own first."""
     return [configured, *(path for path in device_paths(dev) if Path(path) != Path(configured))]
 
 

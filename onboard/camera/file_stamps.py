@@ -1,4 +1,4 @@
-"""When a picture was taken: a CSV of stamps, EXIF, or a UTC time in the file name. All become Unix nanoseconds."""
+"""The times of pictures: from a CSV of stamps, EXIF, or a UTC time in the file name. All become Unix nanoseconds."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which of a device's formats to take, and what to report when it has none that fits."""
+"""Choice among a device's formats, and the report when it has none that fits."""
 
 from __future__ import annotations
 

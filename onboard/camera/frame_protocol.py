@@ -30,7 +30,7 @@ NAN = float("nan")
 
 
 class Clock(IntEnum):
-    """What a stamp counts on."""
+    """The clock that a stamp counts on."""
 
     MONOTONIC = 0  # CLOCK_MONOTONIC of this computer
     SENDER = 1  # the sender's own: any origin, and a rate of nearly one second a second
@@ -38,7 +38,7 @@ class Clock(IntEnum):
 
 
 class Moment(IntEnum):
-    """Which moment of the exposure a stamp is."""
+    """The moment of the exposure that a stamp states."""
 
     UNKNOWN = 0
     FIRST_ROW_START = 1
@@ -48,7 +48,7 @@ class Moment(IntEnum):
 
 
 class Origin(IntEnum):
-    """Where a stamp comes from, the best first."""
+    """The origin of a stamp, the best first."""
 
     UNKNOWN = 0
     SENSOR = 1  # the camera's driver
@@ -59,7 +59,7 @@ class Origin(IntEnum):
 
 
 class GimbalFrame(IntEnum):
-    """What a gimbal's attitude refers to."""
+    """The frame that a gimbal's attitude refers to."""
 
     NONE = 0
     VEHICLE = 1
@@ -68,7 +68,7 @@ class GimbalFrame(IntEnum):
 
 @dataclass(frozen=True)
 class Header:
-    """What is known of a picture. `arrival_ns` 0, and NaN elsewhere: not known.
+    """The header of a picture: what is known of it. `arrival_ns` 0, and NaN elsewhere: not known.
 
     `stamp_ns` counts on `clock`; `arrival_ns`, when the picture came to this computer, on CLOCK_MONOTONIC always.
     `sigma_s`: one sigma of the stamp. `focal_px`: at the picture's size. `gimbal`: quaternion w, x, y, z of
@@ -95,12 +95,12 @@ class Header:
 
     @property
     def line_bytes(self) -> int:
-        """From the beginning of one row to that of the next."""
+        """The bytes from the beginning of one row to that of the next."""
         return self.stride_bytes or self.width_px * _ROW_BYTES[self.fourcc]
 
     @property
     def payload_bytes(self) -> int:
-        """Of the luma that follows: whole rows, the last with its padding."""
+        """The bytes of luma that follow: whole rows, the last with its padding."""
         return self.line_bytes * self.height_px
 
 
@@ -206,7 +206,8 @@ class FrameReader:
 
 
 def middle_ns(header: Header, readout_s: float) -> int:
-    """What a stamp lacks to the middle of the exposure of the middle row, ns. `readout_s`: of all rows, positive.
+    """Return the time from a stamp to the middle of the exposure of the middle row, ns. `readout_s`: of all rows,
+    positive.
 
     An exposure that is not known counts as 0: its half is part of the time offset that is estimated in flight.
     """

@@ -141,7 +141,7 @@ def load() -> tuple[Any, Any]:
 
 
 def decoders_at_hand(Gst: Any) -> dict[str, list[str]]:
-    """Of each codec the decoders that are installed, in the order in which they are tried."""
+    """Return for each codec the decoders that are installed, in the order in which they are tried."""
     return {
         codec: [name for name in names if Gst.ElementFactory.find(name) is not None]
         for codec, (_, _, names) in CODECS.items()
@@ -149,7 +149,7 @@ def decoders_at_hand(Gst: Any) -> dict[str, list[str]]:
 
 
 class Stamps:
-    """Which of the stamps that a stream has are used: the best that every picture has had for a while."""
+    """The choice among the stamps that a stream has: the best that every picture has had for a while."""
 
     def __init__(self, is_utc_trusted: bool) -> None:
         self._seen = 0
@@ -166,7 +166,7 @@ class Stamps:
 
 
 class Whole:
-    """Which pictures of a stream are whole: none from a gap in it to the next picture that needs no other.
+    """The judgement which pictures of a stream are whole: none from a gap to the next picture that needs no other.
 
     A decoder puts something in place of what was lost, and goes on: pictures look sharp, and show where the camera was
     before the gap. A stream without such pictures (intra refresh) is whole again after HEALED_NS.
@@ -181,10 +181,12 @@ class Whole:
         return self._broken_ns is None
 
     def see(self, is_gap: bool, is_key: bool, now_ns: int) -> bool:
-        """Of the next picture, as it comes to the decoder: behind a gap or not, one that needs no other or not.
+        """Return whether the next picture is whole, as it comes to the decoder: behind a gap or not, a key picture or
+        not.
 
-        What comes directly behind a gap may begin with the rest of an earlier picture, and then bears its times. So it
-        does not count itself, but what follows one that needs no other does. A stream begins with a gap.
+        The picture directly behind a gap may begin with the rest of an earlier one, and then bears its times. So it
+        does not count itself, but what follows a key picture (one that needs no other) does. A stream begins with a
+        gap.
         """
         if is_key or (self._broken_ns is not None and now_ns - self._broken_ns > HEALED_NS):
             self._broken_ns = None
@@ -235,7 +237,7 @@ class Player:
                 self._decoders_of(codec)
 
     def _decoders_of(self, codec: str) -> list[str]:
-        """Those that are installed, at least one; raises Hopeless."""
+        """Return the decoders that are installed, at least one; raises Hopeless."""
         found = decoders_at_hand(self.Gst)[codec]
         if not found:
             self.need(next(name for name in CODECS[codec][2] if name.startswith(("avdec", "jpegdec"))))
@@ -293,7 +295,7 @@ class Player:
         return f"{reason} ({detail})" if detail and detail != reason else reason
 
     def _absent(self) -> str:
-        """Which camera libcamera does not have, and which it has."""
+        """Return a line that names the camera that libcamera does not have, and those that it has."""
         wanted, there = self.spec.get("camera"), ", ".join(map(repr, cameras(self.Gst)))
         return f"libcamera has {f'no camera {wanted!r}' if wanted else 'no camera'}{f', but {there}' if there else ''}"
 

@@ -47,7 +47,7 @@ ORIGIN_WORDS = {
 
 @dataclass(frozen=True)
 class Launch:
-    """How to start a helper: `name` is what people see, without passwords."""
+    """The command that starts a helper; `name` is what people see, without passwords."""
 
     name: str
     command: tuple[str, ...]
@@ -57,7 +57,7 @@ class Launch:
 
 
 def _of_lens_and_gimbal(header: Header, stamp_ns: int) -> Iterator[GimbalAttitude | Zoom]:
-    """What a frame's header states of the lens and of the gimbal that holds it."""
+    """Yield the zoom and the gimbal's attitude that a frame's header states, if it does."""
     if math.isfinite(header.focal_px):
         yield Zoom(stamp_ns, header.focal_px, "focal_px", is_of_picture=True)
     elif math.isfinite(header.zoom):
@@ -215,7 +215,7 @@ class HelperCamera:
 
     @staticmethod
     def _silence(stream: _Stream, silent_s: float) -> str:
-        """Why nothing comes of a helper that runs."""
+        """Return the reason why nothing comes of a helper that runs."""
         if stream.has_picture:
             return f"no picture for {silent_s:.1f} s"
         if stream.reader.complaint:
@@ -225,7 +225,7 @@ class HelperCamera:
         return stream.process.words or "runs but sends no picture"
 
     def health(self) -> SourceStatus:
-        """How the camera is, judged now."""
+        """Return the camera's status, judged now."""
         stream, now_ns = self._stream, self._now_ns()
         shown, name = self._figures(), self._launch.name
         silent_s = (now_ns - self._last_ns) / 1e9
@@ -248,7 +248,7 @@ class HelperCamera:
         return SourceStatus(State.DEGRADED if complaints else State.OK, "; ".join(complaints) or what, shown)
 
     def stamps_text(self) -> str:
-        """Where stamps come from, how they are mapped to our clock, and how well each is known."""
+        """Return in words where stamps come from, how they are mapped to our clock, and how well each is known."""
         stream, stamps = self._stream, self._stamps
         if stream is None or stream.header is None:
             return "no stamp yet"

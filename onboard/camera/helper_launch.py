@@ -104,7 +104,7 @@ def needs_network(spec: Mapping[str, Any]) -> bool:
 
 
 def unable(launch: Launch) -> str:
-    """Why a helper cannot be started, or cannot open things of that kind; empty if it can. Nothing is opened."""
+    """Return why a helper cannot be started, or cannot open things of that kind; empty if it can. Nothing is opened."""
     if launch.command[:1] != (SYSTEM_PYTHON,) or str(HELPER) not in launch.command:
         return "" if shutil.which(launch.command[0]) else f"{launch.command[0]}: no such program"
     return _ask({**json.loads(launch.stdin), "is_check": True})[1]
@@ -117,7 +117,7 @@ def libcamera_names() -> tuple[list[str], str]:
 
 
 def decoders_text() -> str:
-    """What decodes the video of streams on this computer, or why that is not known."""
+    """Return in words what decodes the video of streams on this computer, or why that is not known."""
     text, why = _ask({"kind": "decoders"})
     if why:
         return f"video of streams is not decoded: {why}"
@@ -125,13 +125,13 @@ def decoders_text() -> str:
 
 
 def _decoded(codec: str, names: list[str]) -> str:
-    """Of one codec: what is tried first, and what if that does not work."""
+    """Return in words which decoder of a codec is tried first, and which if that does not work."""
     decoders = [f"{name} (hardware)" if name not in IN_SOFTWARE else name for name in names]
     return f"{codec} by {', else '.join(decoders)}" if decoders else f"{codec} by nothing that is installed"
 
 
 def _ask(spec: dict[str, Any]) -> tuple[str, str]:
-    """What our helper answers, and why it does not."""
+    """Return our helper's answer to `spec`, and why it did not answer ('' if it did)."""
     launch = gstreamer_launch(spec, "")
     try:
         done = subprocess.run(

@@ -63,11 +63,13 @@ class HelperProcess:
 
     @property
     def pid(self) -> int:
-        """Of the helper, which leads its group."""
+        """The process id of the helper, which leads its group."""
         return self._process.pid
 
     def read(self, within_s: float) -> bytes | None:
-        """What it has written, at the latest after `within_s`; empty if nothing, None once it has closed its output."""
+        """Return what it has written, at the latest after `within_s`; empty if nothing, None once it has closed its
+        output.
+        """
         data = b""
         for fd, _ in self._poll.poll(1e3 * within_s):
             try:

@@ -1,4 +1,4 @@
-"""What a photograph states about its lens: focal length, principal point, distortion, and how well each is known."""
+"""The lens as a photograph states it: focal length, principal point, distortion, and how well each is known."""
 
 from __future__ import annotations
 
@@ -192,7 +192,10 @@ def _by_plane(details: Mapping[int, object], size_px: tuple[int, int]) -> Focal 
 
 
 def _by_equivalent(details: Mapping[int, object], size_px: tuple[int, int], model: str) -> Focal | None:
-    """By the 35 mm equivalent: that of the whole sensor, of which a picture of another shape is a part."""
+    """Return the focal length by the 35 mm equivalent; None without one.
+
+    The equivalent is that of the whole sensor, of which a picture of another shape is a part.
+    """
     equivalent_mm = number(details.get(ExifTags.Base.FocalLengthIn35mmFilm))
     if not equivalent_mm:
         return None

@@ -1,5 +1,6 @@
-"""What a photograph states about itself: EXIF, and the XMP that drones add (DJI's names, Pix4D's, which MicaSense,
-Parrot and senseFly write, Parrot's and Skydio's own).
+"""Metadata of a photograph: EXIF, and the XMP that drones add.
+
+The XMP has DJI's names, Pix4D's (which MicaSense, Parrot and senseFly write), Parrot's and Skydio's own.
 
 Read with Pillow, which decodes the pictures anyway.
 """
@@ -33,7 +34,7 @@ Angles = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class PhotoMetadata:
-    """What one photograph states; None where it does not. Angles are roll, pitch, yaw against north-east-down."""
+    """The statements of one photograph; None where it has none. Angles are roll, pitch, yaw against north-east-down."""
 
     name: str
     size_px: tuple[int, int]
@@ -223,7 +224,10 @@ def _angles(xmp: Mapping[str, str], *patterns: str) -> Angles | None:
 
 
 def _camera_angles(xmp: Mapping[str, str], make: str) -> Angles | None:
-    """Of the optical axis, pitch -90 looking down: DJI's, Parrot's and Skydio's names as they are, Pix4D's turned."""
+    """Return the angles of the optical axis, pitch -90 looking down; None if there are none.
+
+    DJI's, Parrot's and Skydio's are taken as they are, Pix4D's are turned.
+    """
     stated = _angles(xmp, "Gimbal{}Degree", "Camera{}Degree", "CameraOrientationNED/{}")
     if stated is not None:
         return stated
@@ -238,7 +242,10 @@ def _camera_angles(xmp: Mapping[str, str], make: str) -> Angles | None:
 
 
 def _readout(xmp: Mapping[str, str], size_px: tuple[int, int]) -> float | None:
-    """Of all rows, by the time of one, in the only unit of s, ms, us, ns that makes a picture possible."""
+    """Return the read-out time of all rows, s, by the time of one; None if it is not stated or impossible.
+
+    Its unit is the one of s, ms, us, ns that makes a picture possible.
+    """
     line = number(xmp.get("Camera:LineReadoutTime"))
     if not line or line < 0.0:
         return None
@@ -247,6 +254,6 @@ def _readout(xmp: Mapping[str, str], size_px: tuple[int, int]) -> float | None:
 
 
 def _band(xmp: Mapping[str, str]) -> tuple[int, str] | None:
-    """Which camera of a rig, if the picture states that it is of one."""
+    """Return the camera of a rig and its band, if the picture states that it is of one."""
     index = number(xmp.get("Camera:RigCameraIndex"))
     return None if index is None else (int(index), xmp.get("Camera:BandName", ""))

@@ -45,11 +45,11 @@ class FrameSource(Protocol):
 
     @property
     def names(self) -> list[str]:
-        """What each frame is called, in the same order."""
+        """The name of each frame, in the same order."""
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the operator should know of how they were read, one line each."""
+        """The notes for the operator on how they were read, one line each."""
 
     def frames(self) -> Iterator[Frame]:
         """Each picture in capture order; raises InputError at one that cannot be decoded or has another size."""
@@ -109,7 +109,10 @@ def _in_capture_order(where: object, stamped: list[_Stamped]) -> list[_Stamped]:
 
 
 def _thinned(stamped: list[_Stamped], max_rate_hz: float) -> list[_Stamped]:
-    """In order of time; of those closer together than the rate allows the first. A tenth less is no closer."""
+    """Return the pictures in order of time, and of those closer together than the rate allows the first.
+
+    A tenth less counts as no closer.
+    """
     out: list[_Stamped] = []
     for item in stamped:
         if not out or (item.stamp_ns - out[-1].stamp_ns) / 1e9 >= 0.9 / max_rate_hz:
@@ -367,7 +370,7 @@ class Video:
         return Frame(item.stamp_ns, number, grey, item.name, colour=colour, counts=counts)
 
     def _place_of(self, time_s: float, due: int) -> int:
-        """Which frame has a container's time: the one that is due, or a later one of exactly that time."""
+        """Return the frame of a container's time: the one that is due, or a later one of exactly that time."""
         place = bisect.bisect_left(self._times_s, time_s - SAME_S)
         is_there = place < len(self._times_s) and abs(self._times_s[place] - time_s) < SAME_S
         return max(place, due) if is_there else due

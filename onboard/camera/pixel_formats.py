@@ -139,7 +139,7 @@ DECODERS: dict[str, Callable[[bytearray, tuple[int, int], int], Grey | None]] = 
 }
 """Formats we can read, the cheapest and truest first."""
 DEEP = ("Y16", "Y12", "Y10")
-"""Those with sixteen bits a pixel, the best of a thermal camera first."""
+"""The formats with sixteen bits a pixel, the best of a thermal camera first."""
 
 
 def to_grey(fourcc: str, data: bytearray, size_px: tuple[int, int], line_bytes: int) -> Grey | None:
@@ -149,7 +149,7 @@ def to_grey(fourcc: str, data: bytearray, size_px: tuple[int, int], line_bytes: 
 
 
 def to_raw(fourcc: str, data: bytearray, size_px: tuple[int, int], line_bytes: int) -> Grey | NDArray[np.uint16] | None:
-    """As `to_grey`, but what has sixteen bits a pixel as it is, uint16."""
+    """Return the picture as `to_grey` does, but formats of sixteen bits a pixel as they are, uint16."""
     if fourcc in DEEP:
         return _words(data, size_px, line_bytes)
     return to_grey(fourcc, data, size_px, line_bytes)

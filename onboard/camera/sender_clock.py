@@ -66,9 +66,9 @@ class SenderClock:
         self._known.clear()
 
     def to_monotonic_ns(self, header: Header, now_ns: int) -> int | None:
-        """When the picture was taken by its stamp; None: that cannot be, or is not known yet (`is_settling`).
+        """Return when the picture was taken by its stamp, on CLOCK_MONOTONIC, as `now_ns` is.
 
-        `now_ns`: CLOCK_MONOTONIC.
+        None: that cannot be (see `complaint`), or is not known yet (`is_settling`).
         """
         self.complaint, self.is_settling = "", False
         if header.clock is Clock.MONOTONIC:

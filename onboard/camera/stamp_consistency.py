@@ -1,4 +1,4 @@
-"""Whether a camera's stamps still mean what they meant: by the delay from each stamp to the picture's arrival.
+"""A check that a camera's stamps keep their meaning: the delay from each stamp to the picture's arrival.
 
 A picture can come late, but never sooner than exposure, read-out and transfer take. The least delay of the first
 pictures is that time; a picture that seems to have come sooner carries a stamp that is late by the difference at least.

@@ -44,7 +44,7 @@ class ThermalGrey:
         self._pattern = FixedPattern()
 
     def picture(self, raw: ThermalCounts | Grey) -> tuple[Grey, ThermalCounts]:
-        """What a camera gave (H, W), 8 bits or 16 -> grey and counts."""
+        """Return a camera's picture (H, W), of 8 or 16 bits, as grey and as counts."""
         counts = raw.astype(np.uint16, copy=False)
         return self._grey(counts), counts
 

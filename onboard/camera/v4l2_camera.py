@@ -194,7 +194,7 @@ class V4l2Camera:
         raise _Absent(f"{self._name()}: {_words(why) if why else 'not among the devices'}")
 
     def _buses_of_others(self, path: str, own: Identity) -> set[str]:
-        """Where other cameras are at the first opening, to mistake none of them for ours later."""
+        """Return the buses of other cameras at the first opening, to mistake none of them for ours later."""
         buses = set()
         for other_path in self._paths(self._config.device):
             if other_path == path:
@@ -218,7 +218,7 @@ class V4l2Camera:
         return f"{self._config.device} ({self._known.card})" if self._known else self._config.device
 
     def health(self) -> SourceStatus:
-        """How the camera is. Judged now, not when the last picture came: a hanging driver is seen too."""
+        """Return the camera's status, judged now and not when the last picture came: a hanging driver is seen too."""
         stream, now_ns = self._stream, self._now_ns()
         shown = figures(self._pictures, stream is not None)
         silent_s = (now_ns - self._last_ns) / 1e9

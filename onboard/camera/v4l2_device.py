@@ -30,7 +30,7 @@ _MAX_LISTED = 1024  # entries of any list: a driver that never ends one must not
 
 @dataclass(frozen=True)
 class Card:
-    """Who a device reports to be."""
+    """The identity that a device reports."""
 
     driver: str
     card: str
@@ -60,7 +60,7 @@ class Sizes:
 
 @dataclass(frozen=True)
 class Granted:
-    """What a driver made of a request for a format."""
+    """The format that a driver granted on a request."""
 
     fourcc: str
     width_px: int
@@ -96,7 +96,7 @@ class Buffer:
 
 
 class Device(Protocol):
-    """What the camera asks of a device; the real one is `V4l2Device`."""
+    """The interface that the camera needs of a device; the real one is `V4l2Device`."""
 
     def card(self) -> Card: ...
 

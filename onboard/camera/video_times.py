@@ -1,5 +1,6 @@
-"""When a video's frames are to be shown, by its container: a camera that dropped frames wrote the others at their own
-times, not evenly. And when it began by the container.
+"""The times of a video's frames by its container, and when it began.
+
+A camera that dropped frames wrote the others at their own times, not evenly.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ UNDECODED = -1  # of CAP_PROP_FORMAT: packets as they are, which costs next to n
 
 
 def frame_times_s(path: Path) -> list[float]:
-    """Of each frame in the order in which they are shown; empty if the container has none that increase."""
+    """Return the time of each frame, s, in the order in which they are shown; empty if they do not increase."""
     capture = cv2.VideoCapture(str(path))
     capture.set(cv2.CAP_PROP_FORMAT, UNDECODED)  # if it cannot be set, the frames are decoded
     times_s: list[float] = []
@@ -37,7 +38,7 @@ def frame_times_s(path: Path) -> list[float]:
 
 
 def dropped_note(times_s: list[float]) -> str:
-    """What to report of frames that are missing between others; empty if none is."""
+    """Return a note on frames that are missing between others; empty if none is."""
     apart_s = np.diff(times_s)
     if not len(apart_s):
         return ""
@@ -53,7 +54,7 @@ def dropped_note(times_s: list[float]) -> str:
 
 
 def rate_text(times_s: list[float]) -> str:
-    """How many frames a second, in words."""
+    """Return in words how many frames a second there are."""
     apart_s = np.diff(times_s)
     if not len(apart_s):
         return "one frame"
@@ -64,7 +65,7 @@ def rate_text(times_s: list[float]) -> str:
 
 
 def creation_ns(path: Path) -> int | None:
-    """When an MP4 or QuickTime file states that it began, to the second (Unix ns, taken as UTC); None if not."""
+    """Return when an MP4 or QuickTime file states that it began, to the second (Unix ns, taken as UTC); None if not."""
     try:
         with path.open("rb") as stream:
             moov = _box(stream, 0, path.stat().st_size, b"moov")
@@ -81,7 +82,7 @@ def creation_ns(path: Path) -> int | None:
 
 
 def _box(stream: BinaryIO, start: int, end: int, name: bytes) -> tuple[int, int] | None:
-    """Where the content of a box lies among those between two places (ISO 14496-12, 4.2); None if it is not there."""
+    """Return begin and end of a box's content among those between two places (ISO 14496-12, 4.2); None if absent."""
     at = start
     while at + 8 <= end:
         stream.seek(at)
