@@ -422,7 +422,7 @@ def run_make_credentials(arguments: argparse.Namespace) -> int:
 
 
 def _add_importing(command: argparse.ArgumentParser) -> None:
-    """What both imports take."""
+    """Add the arguments that both imports take."""
     command.add_argument("--out", type=Path, required=True, metavar="FLIGHT", help="folder to write; new or empty")
     command.add_argument(
         "--telemetry",

@@ -37,12 +37,12 @@ class Version(argparse.Action):
 
 
 def is_output_lost(error: OSError) -> bool:
-    """Whether an error is of writing to a full or broken standard output: files of ours have names in their errors."""
+    """Return whether writing to a full or broken standard output raised it: errors of our files have names."""
     return error.filename is None and error.errno in (errno.ENOSPC, errno.EIO, errno.EDQUOT, errno.EFBIG)
 
 
 def is_reader_gone() -> bool:
-    """Whether our output is no longer read; what it still holds is dropped then."""
+    """Return whether our output is no longer read; what it still holds is dropped then."""
     output = select.poll()
     output.register(sys.stdout.fileno(), 0)
     if not output.poll(0):
@@ -52,7 +52,7 @@ def is_reader_gone() -> bool:
 
 
 def drop_output() -> None:
-    """What is still to be written goes nowhere."""
+    """Drop what is still to be written."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, sys.stdout.fileno())
     os.close(nowhere)

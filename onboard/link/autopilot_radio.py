@@ -54,7 +54,7 @@ class AutopilotRadio:
 
     @classmethod
     def open(cls, config: Config, link: Publisher) -> Self:
-        """As the configuration specifies, with its thread running; sets are those that `link` publishes."""
+        """Open it as the configuration specifies, with its thread running; sets are those that `link` publishes."""
         is_signed = config.telemetry.signing_key is not None
         radio = cls(config.vehicle.id, link.look_up, link.age_s, config.link.mavlink_bit_rate, is_signed=is_signed)
         link.watches.append(radio.feed.offer)
@@ -103,7 +103,7 @@ class AutopilotRadio:
             self._turned_away[ground] = NUMBERED.unpack_from(payload)[1]
 
     def due(self) -> list[tuple[Peer, bytes]]:
-        """What may go now, the bit rate paid."""
+        """Return the packets that may go now, the bit rate paid."""
         out = [(ground, TurnedAway(number, *self._ground_stations)) for ground, number in self._turned_away.items()]
         self._turned_away.clear()
         refusals = [(ground, encode_answer(refusal)) for ground, refusal in out]

@@ -1,4 +1,4 @@
-"""How much may go out on the link, and when: a budget of bytes. Pure logic, time is passed in.
+"""The budget of bytes for the link: how much may go out, and when. Pure logic, time is passed in.
 
 A radio's queue cannot be seen from here, and a queue that fills is delay that stays; so what is sent keeps below
 `link.max_bit_rate` at its source (80 kbit/s offered to 64 kbit/s are 7 to 17 s of delay, whatever zenoh is set to
@@ -48,7 +48,7 @@ def left_for_pictures(max_bit_rate: float, max_rate_hz: float) -> float:
 
 
 class Kind(Enum):
-    """What a message is, which decides how much of the budget it may take."""
+    """The kind of a message, which decides how much of the budget it may take."""
 
     SET = "set"  # of a new picture
     OLDER = "older"  # of a picture that is not the newest any more
@@ -165,7 +165,7 @@ class Budget:
             self._waiting[kind] = since_s, payload_bytes
 
     def is_behind(self, now_s: float) -> bool:
-        """Whether sets wait and come more rarely than they must: then nothing else may go."""
+        """Return whether sets wait and come more rarely than they must: then nothing else may go."""
         if Kind.SET not in self._waiting:
             return False
         since_s, _ = self._waiting[Kind.SET]
@@ -195,13 +195,16 @@ class Budget:
         return max(self._set_due_s - now_s, 0.0)
 
     def _older_wait_s(self, cost: float, now_s: float) -> float:
-        """As `wait_s`: until it takes nothing from the next new set, or its own share has the bytes."""
+        """Return the seconds until it takes nothing from the next new set, or its own share has the bytes."""
         comes = self._until_set_s(now_s) * self.bytes_per_s
         spare_s = self._all.wait_s(cost + max(self._set_cost - comes, 0.0), now_s)
         return max(self._older_due_s - now_s, min(spare_s, self._shares[Kind.OLDER].wait_s(cost, now_s)))
 
     def _picture_wait_s(self, cost: float, now_s: float) -> float:
-        """As `wait_s`. A piece goes only if the link has carried it before the next set may go."""
+        """Return the seconds until a piece of a picture may go; inf while sets go first.
+
+        It goes only if the link has carried it before the next set may go.
+        """
         spilt = self._all.spilt(now_s)
         self._left = min(self._left + max(spilt - self._spilt, 0.0), PACKET_BYTES)
         self._spilt = max(spilt, self._spilt)
@@ -213,12 +216,12 @@ class Budget:
         return wait if carried_s <= until_set_s else max(wait, until_set_s)
 
     def piece_bytes(self, most: int) -> int:
-        """How large a packet of a picture may be, so that there is time for it between two sets."""
+        """Return how large a packet of a picture may be, so that there is time for it between two sets."""
         between = PIECE_SHARE * (self.bytes_per_s / self.max_rate_hz - self._set_cost) / max(self.grounds, 1)
         return int(min(max(between - MESSAGE_OVERHEAD, LEAST_PIECE), most))
 
     def _others_turn(self, now_s: float) -> bool:
-        """Whether something with a share has waited long and only want of bytes keeps it: new sets would take all."""
+        """Return whether something with a share has waited long for want of bytes alone: new sets would take all."""
         return any(
             now_s >= max(since_s + PATIENCE_S[kind], self._older_due_s if kind is Kind.OLDER else since_s)
             and share.wait_s(self.cost(kind, payload_bytes), now_s) <= 0.0
@@ -227,7 +230,7 @@ class Budget:
         )
 
     def send(self, kind: Kind, payload_bytes: int, now_s: float) -> bool:
-        """Whether a message may go now; if so, it is paid for."""
+        """Return whether a message may go now; if so, it is paid for."""
         if self.wait_s(kind, payload_bytes, now_s) > 0.0:
             return False
         cost = self.cost(kind, payload_bytes)
@@ -251,7 +254,7 @@ class Budget:
         return True
 
     def connected(self, grounds: int, now_s: float) -> None:
-        """How many sessions there are now; each new one has cost its handshake."""
+        """Set how many sessions there are now; each new one has cost its handshake."""
         self._note_background(now_s)
         if grounds > self.grounds:
             self._all.owe(self._connect_bytes * (grounds - self.grounds), now_s)

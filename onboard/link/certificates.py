@@ -62,7 +62,7 @@ class Authority:
 
     @classmethod
     def load(cls, folder: Path) -> Authority:
-        """From its folder. Raises InputError."""
+        """Return the authority of a folder. Raises InputError."""
         try:
             certificate = x509.load_pem_x509_certificate((folder / CA_FILE).read_bytes())
             key = serialization.load_pem_private_key((folder / KEY_FILE).read_bytes(), None)

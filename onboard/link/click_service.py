@@ -163,7 +163,10 @@ class ClickService:
         return replace(answer, age_s=None if age_s is None else max(age_s - question.waited_s, 0.0))
 
     def _found(self, question: ClickQuestion, at_ns: int) -> Answer | None:
-        """As for a query; a question for the newest that comes late means the picture captured nearest to the click."""
+        """Return the answer as for a query; None while it is being made.
+
+        A question for the newest picture that comes late means the one captured nearest to the click.
+        """
         frame = None if question.frame is None else str(question.frame)
         unix_s = None if question.capture_unix_ns is None else repr(question.capture_unix_ns / 1e9)
         found = self._look_up(Question(frame, unix_s, at_ns))

@@ -36,7 +36,7 @@ def one_packet(feature_set: FeatureSet, payload: bytes | None = None, max_bytes:
 
 
 def _without_the_crowded(uv_px: np.ndarray, count: int) -> np.ndarray:
-    """Which rows (N,) of pixels (N, 2) stay when the `count` nearest to another go, one by one."""
+    """Return a mask (N,) of the pixels (N, 2) that stay when the `count` nearest to another go, one by one."""
     keep = np.ones(len(uv_px), bool)
     squared = np.sum((uv_px[:, None] - uv_px[None]) ** 2, axis=2)
     np.fill_diagonal(squared, np.inf)

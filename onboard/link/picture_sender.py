@@ -32,7 +32,7 @@ log = logging.getLogger("pointclick")
 
 
 class PictureLink(Protocol):
-    """What takes pictures: `onboard.link.publisher.Publisher`."""
+    """The part of `onboard.link.publisher.Publisher` that takes pictures."""
 
     def picture_room(self) -> int:
         """Bytes that a packet may take; 0: no picture is wanted now."""

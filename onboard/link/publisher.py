@@ -72,7 +72,7 @@ log = logging.getLogger("pointclick")
 
 @dataclass(frozen=True)
 class Rate:
-    """How much may be sent: bit/s with everything the link adds, and sets a second, as in the section `link`."""
+    """The limits of sending: bit/s with everything the link adds, and sets a second, as in the section `link`."""
 
     max_bit_rate: float = 32000.0
     min_rate_hz: float = 0.2
@@ -102,7 +102,7 @@ class _Parked:
 
 @dataclass(frozen=True)
 class _Message:
-    """What could go now: its bytes, what changes once it may go, and how it is put on the link, outside of the lock."""
+    """A message that could go now: its bytes, `gone` to call once it may go, and `put` to send it, outside of the lock."""
 
     size: int
     gone: Callable[[], object]
@@ -197,7 +197,7 @@ class Publisher:
 
     @classmethod
     def open(cls, config: Config) -> Self:
-        """As the sections `vehicle` and `link` specify. Raises LinkError."""
+        """Open it as the sections `vehicle` and `link` specify. Raises LinkError."""
         link = config.link
         return cls(
             config.vehicle.id,
@@ -253,12 +253,12 @@ class Publisher:
             self._wake()
 
     def look_up(self, asked: Question) -> Answer | None:
-        """What a query gets, for those that come by another way; None: the picture's set is still being made."""
+        """Return the answer to a query that came by another way; None: the picture's set is still being made."""
         with self._changed:
             return None if asked.pending(self._history, self._pending) is not None else self._answer(asked)
 
     def age_s(self, capture_unix_ns: int) -> float | None:
-        """How long ago a picture was taken; None while nothing is known of the clock."""
+        """Return how long ago a picture was taken; None while nothing is known of the clock."""
         with self._changed:
             return self._set_clock.age_s(capture_unix_ns, time.monotonic_ns())
 
@@ -355,7 +355,7 @@ class Publisher:
         return 0.0
 
     def _messages(self, now_s: float, *, has_room: bool) -> dict[Kind, _Message]:
-        """What could go now, first what goes first: a click before a report, which is several times as large."""
+        """Return the messages that could go now, by priority: a click before a report several times as large."""
         found: dict[Kind, _Message] = {}
         if self._status_waits:
             status = self._status
@@ -406,7 +406,7 @@ class Publisher:
             log.warning("link: %s", text)
 
     def _forget_old_queries(self, now_s: float) -> None:
-        """Those whose ground waits no longer; and what was asked before its set was made is answered now."""
+        """Drop queries whose ground waits no longer; answer parked ones whose set is made, or that are late."""
         for waiting in [w for w in self._queries if now_s > w.until_s - ANSWER_MARGIN_S]:
             self._queries.remove(waiting)
             waiting.query.drop()  # type: ignore[no-untyped-call]

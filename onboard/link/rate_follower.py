@@ -1,4 +1,4 @@
-"""How fast a link of unknown capacity is sent over, by what its far end reports. Pure logic, time is passed in.
+"""The rate of sending over a link of unknown capacity, by its far end's reports. Pure logic, time is passed in.
 
 An autopilot drops what it has no room for without a word, and never forwards its radio's own reports: so the ground
 states when packets came, and a queue before the radio shows in how much longer than the least they were under way.

@@ -1,4 +1,4 @@
-"""What a query is answered with: a set or a refusal, and with it how old that is and why there is nothing newer.
+"""The answer to a query: a set or a refusal, and with it how old that is and why there is nothing newer.
 
 Pure logic, time is passed in. docs/wire-format.md, section 8.
 """
@@ -25,7 +25,9 @@ CAMERA_STATES = ("camera lost", "camera silent", "camera frozen")
 
 @dataclass(frozen=True)
 class Answer:
-    """What a query gets: `payload` is a set, or with `is_error` a refusal as JSON. `about` goes with a set, as JSON."""
+    """The answer to a query: `payload` is a set, or with `is_error` a refusal as JSON. `about` goes with a set, as
+    JSON.
+    """
 
     payload: bytes
     about: bytes = b""
@@ -88,7 +90,7 @@ class SetClock:
         self._captures_ns, self._session = _greater(held_ns, capture_unix_ns - monotonic_ns), session
 
     def age_s(self, capture_unix_ns: int, monotonic_ns: int) -> float | None:
-        """How long ago a picture was taken; None while nothing is known of the clock."""
+        """Return how long ago a picture was taken; None while nothing is known of the clock."""
         offset_ns = self._captures_ns if self._arrivals_ns is None else self._arrivals_ns
         return None if offset_ns is None else max((monotonic_ns + offset_ns - capture_unix_ns) / 1e9, 0.0)
 
@@ -127,13 +129,13 @@ def not_placed(vehicle: str, frame: int) -> Answer:
 
 
 def patience_s(stated: str | None) -> float:
-    """How long a ground waits for its answer, s, as it states itself; not without limit."""
+    """Return how long a ground waits for its answer, s, as it states itself; not without limit."""
     seconds = math.nan if stated is None else _number(stated)
     return min(max(seconds, 0.0), MOST_PATIENCE_S) if math.isfinite(seconds) else ANSWER_TIMEOUT_S
 
 
 def refusal(status: Status, vehicle: str, now: VehicleStatus | None = None) -> Answer:
-    """Why there is no set, with the daemon's own state where that states more."""
+    """Return the reason why there is no set, with the daemon's own state where that states more."""
     return Answer(_json({"status": status.value, "vehicle": vehicle} | _daemon_state(now)), is_error=True)
 
 

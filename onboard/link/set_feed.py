@@ -131,7 +131,7 @@ class SetFeed:
         return out
 
     def _choose(self, now_s: float) -> bool:
-        """Whether there is a piece to be sent; of the next set if there is none of the last."""
+        """Return whether there is a piece to be sent; if there is none of the last set, take the next set's."""
         if self._pieces:
             return True
         offer = self._selection.next(now_s) or self._selection.next_of_rest(now_s)

@@ -1,4 +1,4 @@
-"""Which set goes out next, when not all can. Pure logic, time is passed in.
+"""The choice of the set that goes out next, when not all can. Pure logic, time is passed in.
 
 There are two queues. Of new pictures only the newest waits, for the next moment. The rest, better revisions of older
 pictures and pictures that were overtaken before their turn came, goes in bytes that new pictures leave.
@@ -38,7 +38,7 @@ class Offer(Generic[T]):
 
 
 class Selection(Generic[T]):
-    """Which set goes next: `next` of the newest pictures, the newest that answers first; `next_of_rest` of older ones.
+    """The choice: `next` of the newest pictures, the newest that answers first; `next_of_rest` of older ones.
 
     Of the rest keyframes go first, then revisions, for an overtaken picture is soon revised; then pictures of which the
     ground has nothing, and those where on the time line least has been sent, so that what the ground holds is spread
@@ -63,7 +63,7 @@ class Selection(Generic[T]):
 
     @property
     def waiting(self) -> bool:
-        """Whether there is a set that was never sent."""
+        """True if there is a set that was never sent."""
         return self._answer is not None or self._refusal is not None or bool(self._rest)
 
     def offer(self, offered: Offer[T]) -> None:
@@ -107,7 +107,7 @@ class Selection(Generic[T]):
         return max(self._fresh_at_s + self._repeat_s - now_s, 0.0)
 
     def sent(self, offered: Offer[T], now_s: float) -> None:
-        """It went out."""
+        """Note that it went out."""
         o = offered
         if o.capture_unix_ns >= self._sent_ns or o is self._repeated:
             self._fresh_at_s = now_s
@@ -167,7 +167,7 @@ class Selection(Generic[T]):
 
 
 def _precedes(held: Offer[T], new: Offer[T]) -> bool:
-    """Whether a ground that has nothing should receive `new` first: answers before refusals, then the newest."""
+    """Return whether a ground that has nothing should receive `new` first: answers before refusals, then the newest."""
     if held.is_ok != new.is_ok:
         lead = new.capture_unix_ns - held.capture_unix_ns
         return lead > -ANSWER_LEAD_NS if new.is_ok else lead > ANSWER_LEAD_NS

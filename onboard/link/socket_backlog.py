@@ -1,4 +1,4 @@
-"""What the system still holds of what was sent: the only sign of a cut or a slow radio that this end can see.
+"""The sent bytes that the system still holds: the only sign of a cut or a slow radio that this end can see.
 
 A stream (tcp, tls) keeps what it could not deliver and delivers it first when the link is back, however old. After a
 cut of 9 s a link of 40 kbit/s took more than 12 s to bring the newest set; 2.8 s since sending waits while much is

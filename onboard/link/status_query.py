@@ -18,7 +18,7 @@ _EVERYWHERE = re.compile(r"/(0\.0\.0\.0|\[::\]):")
 
 
 def local_endpoints(listen: Sequence[str]) -> list[str]:
-    """Where this computer reaches what listens there: "everywhere" is loopback too."""
+    """Return the endpoints at which this computer reaches what listens there: "everywhere" is loopback too."""
     return [_EVERYWHERE.sub("/127.0.0.1:", endpoint) for endpoint in listen]
 
 

@@ -39,14 +39,14 @@ _LEVELS = {
 
 
 class Order(enum.Enum):
-    """What the daemon can be asked to do."""
+    """The orders that the daemon takes."""
 
     STOP = enum.auto()
     RELOAD = enum.auto()
 
 
 class Orders(Protocol):
-    """Where orders come from."""
+    """The place that orders come from."""
 
     def next(self, timeout_s: float) -> Order | None:
         """Wait for an order; None if none came in time."""
@@ -175,7 +175,7 @@ class Daemon:
             self._sent, self._sent_ns = state.state, now_ns
 
     def _reload(self) -> bool:
-        """Whether the flight continues, with the new configuration or with the old."""
+        """Load the configuration again; return whether the flight continues, with the new one or with the old."""
         self._notifier.reloading()
         try:
             config = self._load()
@@ -188,7 +188,7 @@ class Daemon:
         return True
 
     def _change(self, config: Config) -> bool:
-        """What can be changed in flight is; all else needs a new session, with a clock and a recording of its own.
+        """Change what can be changed in flight; all else needs a new session, with a clock and a recording of its own.
 
         False if there is no session any more: then a new process is the way on.
         """
@@ -217,5 +217,5 @@ class Daemon:
         return True
 
     def _finish(self) -> bool:
-        """Whether the session ended cleanly and in time."""
+        """End the session; return whether it ended cleanly and in time."""
         return self._session.finish(FINISH_S)

@@ -79,7 +79,7 @@ class EventQueue:
         return self._dropped
 
     def dropped_within(self, seconds: float) -> bool:
-        """Whether a picture was dropped in the last `seconds`."""
+        """Return whether a picture was dropped in the last `seconds`."""
         at_ns = self._dropped_at_ns
         return at_ns is not None and self._now_ns() - at_ns < seconds * 1e9
 

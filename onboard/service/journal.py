@@ -29,7 +29,7 @@ class _JournalFormatter(_Formatter):
 
 
 def is_journal(stream: TextIO, environment: Mapping[str, str] = os.environ) -> bool:
-    """Whether a stream is connected to journald: $JOURNAL_STREAM names its device and inode (systemd.exec(5))."""
+    """Return whether a stream leads to journald: $JOURNAL_STREAM names its device and inode (systemd.exec(5))."""
     named = environment.get("JOURNAL_STREAM", "")
     try:
         status = os.fstat(stream.fileno())

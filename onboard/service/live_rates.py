@@ -1,4 +1,4 @@
-"""What the sources and the pipeline did in the last seconds: rates, delays, what became of the newest pictures.
+"""The last seconds of the sources and the pipeline: rates, delays, what became of the newest pictures.
 
 Written by the source's and the pipeline's threads, read by the daemon's. All moments are on the session's clock.
 """

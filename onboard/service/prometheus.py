@@ -212,14 +212,14 @@ class PrometheusServer:
 
     @property
     def port(self) -> int:
-        """Where it listens: the configured port, or the one that was given for 0."""
+        """The port on which it listens: the configured one, or the one that was given for 0."""
         return int(self._server.server_port)
 
     def show(self, report: Report) -> None:
         self._report = report
 
     def collect(self) -> Iterator[Metric]:
-        """For prometheus_client, at each request."""
+        """Yield the metrics of the newest report; prometheus_client calls this at each request."""
         report = self._report
         if report is not None:
             yield from metrics(self._vehicle, report)

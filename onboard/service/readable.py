@@ -32,7 +32,7 @@ class Reader:
         return cls("", os.geteuid(), frozenset({os.getegid(), *os.getgroups()}))
 
     def complaint(self, path: Path) -> str:
-        """Why this user cannot read a file, and what to do; empty if it can."""
+        """Return why this user cannot read a file, and what to do; empty if it can."""
         try:
             for folder in reversed(path.absolute().parents):
                 if not self._may(folder.stat(), stat.S_IXOTH):

@@ -1,6 +1,6 @@
-"""What the daemon reports of itself once a second: one typed report that `status`, `doctor` and Prometheus share.
+"""The report of the daemon on itself, once a second: one type that `status`, `doctor` and Prometheus share.
 
-Asked for over the link it travels as JSON (docs/wire-format.md, section 10, `detail`). A reader takes keys it does not
+Requested over the link it travels as JSON (docs/wire-format.md, section 10, `detail`). A reader takes keys it does not
 know as those of a later version and ignores them; what an earlier version did not send has the default below.
 """
 
@@ -39,14 +39,14 @@ class Brightness:
 
     @classmethod
     def of(cls, image: NDArray[np.uint8]) -> Brightness:
-        """Of a grey picture (H, W), from every eighth pixel of every eighth row."""
+        """Return the brightness of a grey picture (H, W), from every eighth pixel of every eighth row."""
         sample = image[::EVERY, ::EVERY]
         return cls(float(sample.mean()), float((sample <= BLACK).mean()), float((sample >= WHITE).mean()))
 
 
 @dataclass(frozen=True)
 class PictureCounts:
-    """What became of the session's pictures; each counts by its latest revision, `refused` by reason."""
+    """The outcomes of the session's pictures; each counts by its latest revision, `refused` by reason."""
 
     handled: int = 0
     keyframes: int = 0
@@ -58,7 +58,7 @@ class PictureCounts:
 
     @classmethod
     def of(cls, summary: Summary, unencodable: int) -> PictureCounts:
-        """From the pipeline's statistics."""
+        """Return the counts of the pipeline's statistics."""
         s = summary
         return cls(s.frames, s.keyframes, s.solved, dict(s.refused), s.reprojection_px, unencodable, s.left_out)
 
@@ -74,7 +74,7 @@ def gps_report(quality: GpsQuality | None, now_ns: int) -> GpsReport | None:
 
 @dataclass(frozen=True)
 class RecordingReport:
-    """Whether the session is being recorded, and why not if it should be."""
+    """The state of the recording: whether there is one, and why not if there should be."""
 
     is_on: bool = False
     fault: str = ""
@@ -82,7 +82,7 @@ class RecordingReport:
 
 @dataclass(frozen=True)
 class ClockReport:
-    """How far the host's Unix clock has moved away from the session's since the start."""
+    """The distance that the host's Unix clock has moved away from the session's since the start."""
 
     host_step_s: float = 0.0
 

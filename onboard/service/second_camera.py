@@ -35,7 +35,7 @@ class SecondCameraThread:
         """The first camera's and the autopilot's, which are no concern of this one."""
 
     def feature_set(self, output: FeatureSet) -> None:
-        """As `event`."""
+        """Ignore it, as `event` does."""
 
     def _run(self, thread: SupervisedThread) -> None:
         self.source.run(self._emit, thread)

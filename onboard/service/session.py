@@ -62,12 +62,12 @@ class RecordingSink(Sink, Protocol):
 
     @property
     def fault(self) -> str:
-        """Why nothing is being recorded; empty while all is well."""
+        """The reason why nothing is being recorded; empty while all is well."""
 
 
 @dataclass(frozen=True, eq=False)
 class Parts:
-    """What a session is put together from. `resources` closes whatever had to be opened for it."""
+    """The parts that a session is put together from. `resources` closes whatever had to be opened for it."""
 
     clock: SessionClock
     camera: Source
@@ -128,7 +128,7 @@ class Session:
             thread.start()
 
     def threads(self) -> tuple[ThreadReport, ...]:
-        """How each thread of the session is: camera, telemetry, pipeline, and those of the parts."""
+        """Return a report of each thread of the session: camera, telemetry, pipeline, and those of the parts."""
         return self.supervisor.reports()
 
     def finish(self, within_s: float) -> bool:
@@ -188,7 +188,7 @@ class Session:
         return True
 
     def inputs(self) -> Inputs:
-        """What the state is judged by."""
+        """Return the inputs that the state is judged by."""
         now_ns, busy_since_ns = self.clock.now_ns(), self._busy_since_ns
         return Inputs(
             camera=self.parts.camera.health(),
@@ -289,7 +289,7 @@ class Session:
                 self.live_rates.set_made(output, self.clock.now_ns())
 
     def _hand_over(self, output: FeatureSet, sink: Sink) -> bool:
-        """Whether the sink took it. A set without an encoding is no reason to end the flight: it is left out."""
+        """Return whether the sink took it. A set without an encoding is no reason to end the flight: it is left out."""
         try:
             sink.feature_set(output)
         except UNENCODABLE as error:

@@ -14,7 +14,7 @@ LATE_S = 10.0  # a window takes some tenths of a second
 
 
 class SolverThread:
-    """As `concurrent.futures.ThreadPoolExecutor(1)`, so far as the pipeline needs it.
+    """A thread for one call at a time: as much of `concurrent.futures.ThreadPoolExecutor(1)` as the pipeline needs.
 
     What a call raises is raised again where its result is asked for, which is in the pipeline's thread.
     """

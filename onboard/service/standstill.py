@@ -1,4 +1,4 @@
-"""Whether the aircraft stands on the ground: then it is no fault that pictures show no motion.
+"""Detection that the aircraft stands on the ground: then it is no fault that pictures show no motion.
 
 PX4 reports it itself (FilterStatus). Others are taken to stand where their velocity is nothing but its own noise for as
 long as the pipeline waits before it calls that standing still, at the height of home as far as that is known.
@@ -37,7 +37,7 @@ class Standstill:
 
     @property
     def is_at_rest(self) -> bool:
-        """Whether it stands, as far as is known; False where nothing is."""
+        """True if it stands, as far as is known; False where nothing is."""
         since_ns = self._still_since_ns
         return self._is_held or (since_ns is not None and self._newest_ns - since_ns >= PERSISTENT_NS)
 

@@ -38,7 +38,7 @@ class Supervisor:
 
     @property
     def is_alive(self) -> bool:
-        """Whether every thread without which the service cannot continue has reported in time."""
+        """True if every thread without which the service cannot continue has reported in time."""
         return not any(thread.is_late or thread.has_failed for thread in self._vital())
 
     def _vital(self) -> list[SupervisedThread]:

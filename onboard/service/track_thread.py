@@ -75,7 +75,7 @@ class TrackThread(WokenWork):
                 self._changed.notify()
 
     def answer(self, parameters: str) -> tuple[bytes, bool]:
-        """What a query gets, at once: JSON, and whether it is a refusal. From any thread."""
+        """Return the answer to a query, at once: JSON, and whether it is a refusal. From any thread."""
         try:
             request = read_request(parameters)
         except InputError as error:

@@ -46,12 +46,12 @@ class VehicleState(Enum):
 
     @property
     def is_well(self) -> bool:
-        """Whether all is as it should be: answers flow, or will as soon as the aircraft flies."""
+        """True if all is as it should be: answers flow, or will as soon as the aircraft flies."""
         return self in (VehicleState.OK, VehicleState.AT_REST)
 
 
 class Subject(Enum):
-    """What is judged; each is a line of `doctor`."""
+    """The subjects that are judged; each is a line of `doctor`."""
 
     PIPELINE = "pipeline"
     CAMERA = "camera"
@@ -68,7 +68,7 @@ class Subject(Enum):
 
 @dataclass(frozen=True)
 class GpsReport:
-    """What the receiver reports about itself, and how old that is."""
+    """The receiver's report on itself, and how old that is."""
 
     fix_type: int  # MAVLink GPS_FIX_TYPE: 0-1 none, 2 two-dimensional, 3 and up usable
     age_s: float
@@ -85,7 +85,7 @@ class GpsReport:
 
 @dataclass(frozen=True)
 class Inputs:
-    """What the parts report at present."""
+    """The reports of the parts at present."""
 
     camera: SourceStatus
     telemetry: SourceStatus
@@ -164,7 +164,7 @@ def overall(inputs: Inputs) -> Overall:
 
 
 def source_findings(camera: SourceStatus, telemetry: SourceStatus) -> tuple[Finding, ...]:
-    """What the two sources report about themselves."""
+    """Return the findings that the two sources report about themselves."""
     found = []
     if camera.state is State.LOST:
         found.append(Finding(Subject.CAMERA, VehicleState.CAMERA_LOST, camera.detail))
@@ -183,7 +183,7 @@ def source_findings(camera: SourceStatus, telemetry: SourceStatus) -> tuple[Find
 
 
 def second_findings(thermal_camera: SourceStatus | None) -> tuple[Finding, ...]:
-    """What a second camera reports about itself: without it there are no hot spots, and everything else as before."""
+    """Return the findings on a second camera: without it there are no hot spots, and everything else is as before."""
     if thermal_camera is None or thermal_camera.state is State.OK:
         return ()
     reason = f"thermal camera: {thermal_camera.state.value}, so no hot spots"
@@ -192,7 +192,7 @@ def second_findings(thermal_camera: SourceStatus | None) -> tuple[Finding, ...]:
 
 
 def gps_findings(gps: GpsReport | None) -> tuple[Finding, ...]:
-    """What the receiver reports about itself, as the state holds it when nothing worse is wrong."""
+    """Return the findings on the receiver's own report, as the state holds them when nothing worse is wrong."""
     if gps is None:
         return (Finding(Subject.GPS, VehicleState.DEGRADED, "gps: the receiver has sent nothing"),)
     if gps.fix_type < MIN_FIX_TYPE:
@@ -205,7 +205,7 @@ def gps_findings(gps: GpsReport | None) -> tuple[Finding, ...]:
 
 
 def _stopped(inputs: Inputs) -> Iterator[Finding]:
-    """What keeps pictures or telemetry from coming at all."""
+    """Yield what keeps pictures or telemetry from coming at all."""
     if inputs.busy_s > STUCK_S:
         reason = f"the pipeline has been at one event for {inputs.busy_s:.0f} s"
         yield Finding(Subject.PIPELINE, VehicleState.STUCK, reason)
@@ -217,7 +217,7 @@ def _stopped(inputs: Inputs) -> Iterator[Finding]:
 
 
 def _position(inputs: Inputs) -> Iterator[Finding]:
-    """What receiver and navigation report about the position."""
+    """Yield the findings of receiver and navigation on the position."""
     yield from gps_findings(inputs.gps)
     if inputs.position_fault:
         # Answers that flow all the same carry the doubt in their radius; before the first one may still be waited for.
@@ -228,7 +228,7 @@ def _position(inputs: Inputs) -> Iterator[Finding]:
 
 
 def _answers(inputs: Inputs) -> Iterator[Finding]:
-    """What the newest pictures came to."""
+    """Yield the finding on the newest pictures' outcome, if it is a refusal or there is none yet."""
     outcome = inputs.outcome
     if outcome is None:
         yield Finding(Subject.ANSWERS, VehicleState.STARTING, "no picture has come through yet")
@@ -237,7 +237,7 @@ def _answers(inputs: Inputs) -> Iterator[Finding]:
 
 
 def _other_faults(inputs: Inputs) -> Iterator[Finding]:
-    """What is amiss while answers flow."""
+    """Yield what is amiss while answers flow."""
     if inputs.is_shedding:
         yield Finding(Subject.LOAD, VehicleState.OVERLOADED, "pictures are dropped to keep up")
     if inputs.recording_fault:
@@ -252,14 +252,14 @@ def _other_faults(inputs: Inputs) -> Iterator[Finding]:
 
 
 def severity(state: VehicleState) -> Severity:
-    """How much people should care."""
+    """Return how much people should care."""
     if state.is_well or state in (VehicleState.STARTING, VehicleState.TURNING, VehicleState.LOW_PARALLAX):
         return Severity.NOTICE
     return Severity.ERROR if state in (VehicleState.STUCK, VehicleState.CAMERA_SILENT) else Severity.WARNING
 
 
 def is_alive(inputs: Inputs) -> bool:
-    """Whether the watchdog may be fed: the pipeline moves, and pictures flow or the camera reports why they do not."""
+    """Return whether the watchdog may be fed: the pipeline moves, and pictures flow or the camera reports why not."""
     if inputs.busy_s > STUCK_S:
         return False
     if inputs.camera.state in (State.LOST, State.FROZEN, State.STARTING):

@@ -1,4 +1,4 @@
-"""Which wires an autopilot speaks on: every serial port at the usual rates, and the usual UDP port, listened to."""
+"""Search for an autopilot: every serial port at the usual rates, and the usual UDP port, listened to."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def listen(url: str, seconds: float = LISTEN_S, now_s: Callable[[], float] = tim
 
 
 def is_slow(url: str) -> bool:
-    """Whether a wire carries less than is asked for by default."""
+    """Return whether the wire is a serial one too slow for the messages that are requested by default."""
     scheme, _, rest = url.partition(":")
     number = rest.rpartition(":")[2]
     return scheme == "serial" and number.isdecimal() and int(number) < SLOW_BAUD

@@ -102,11 +102,11 @@ class BootClock:
 
     @property
     def segments(self) -> int:
-        """How many times the boot clock has started."""
+        """The number of times that the boot clock has started."""
         return len(self._segments)
 
     def drift(self, segment: int = -1) -> float:
-        """How much faster our clock runs than the boot clock, as a fraction; 0 where a constant offset is used."""
+        """Return by what fraction our clock runs faster than the boot clock; 0 where a constant offset is used."""
         return self._line(self._segments[segment])[1]
 
     def _offset_ns(self, segment: _Segment, boot_ns: int) -> int:

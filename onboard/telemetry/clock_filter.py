@@ -75,7 +75,7 @@ class ClockFilter:
 
     @property
     def base_ns(self) -> int:
-        """What offsets are counted from, so that they keep their nanoseconds as floats."""
+        """The offset that others are counted from, ns, so that they keep their nanoseconds as floats."""
         return self._base_ns
 
     def _mean(self) -> tuple[float, float]:

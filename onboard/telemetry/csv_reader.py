@@ -32,7 +32,7 @@ Row = dict[str, float]
 
 
 def looks_like_table(head: bytes) -> bool:
-    """Whether a file that begins so is such a table."""
+    """Return whether a file that begins with `head` is such a table."""
     return "unix_time_s" in _names(head)
 
 

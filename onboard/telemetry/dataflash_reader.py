@@ -155,7 +155,9 @@ def _filter_of(log: Any) -> str:
 
 
 def _is_used(message: Any, name: str, primary: int) -> bool:
-    """Of the filter's cores the primary one; of receivers the one in use; of other sensors the first."""
+    """Return whether a message comes from the filter's primary core, the receiver in use, or the first of other
+    sensors.
+    """
     if name in ("KF1", "KF4"):
         return bool(getattr(message, "C", primary) == primary)
     if name == "GPS" and hasattr(message, "U"):

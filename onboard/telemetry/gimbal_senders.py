@@ -31,21 +31,23 @@ MESSAGES = tuple(GIMBAL_EVENTS)  # the better first
 
 
 def is_of_payload(message: Any, wanted: int) -> bool:
-    """Whether a message is a camera's or a gimbal's own: of its component; gimbals of the `wanted` one if not 0."""
+    """Return whether a message is from a camera's component or a gimbal's: the `wanted` gimbal's, any if 0."""
     component = message.get_srcComponent()
     return component in CAMERA_COMPONENTS or (component in GIMBAL_COMPONENTS and wanted in (0, component))
 
 
 @dataclass
 class GimbalChoice:
-    """Which of several senders counts, fed with every attitude as it arrives. `wanted`: a component, 0 for any."""
+    """The choice among several senders, fed with every attitude as it arrives. `wanted`: a component, 0 for any."""
 
     wanted: int = 0
     chosen: tuple[bool, int, int] | None = None  # (passed on, kind of message, component): the least is the best
     received_ns: int = 0
 
     def takes(self, message: Any, arrival_ns: int) -> bool:
-        """Whether this attitude is the camera's."""
+        """Return whether this attitude comes from the chosen sender; choose it where it is a better one or that is
+        silent.
+        """
         component = message.get_srcComponent()
         if self.wanted not in (0, component):
             return False
@@ -59,7 +61,7 @@ class GimbalChoice:
 
     @property
     def component(self) -> int | None:
-        """Whose attitudes are taken; None before the first."""
+        """The component whose attitudes are taken; None before the first."""
         return None if self.chosen is None else self.chosen[2]
 
 
@@ -111,7 +113,7 @@ class Gimbals:
 
     @staticmethod
     def _stamp(gimbal: _Gimbal, message: Any, arrival_ns: int) -> int | None:
-        """When the attitude was true; None while the clock is not known, and of a stamp that came before."""
+        """Return when the attitude was true; None while the clock is not known, and for a stamp that came before."""
         boot_ns = boot_ns_of(message)
         if not boot_ns:
             return arrival_ns  # it does not fill the stamp in
@@ -124,7 +126,7 @@ class Gimbals:
         return gimbal.clock.to_host_ns(boot_ns)
 
     def figures(self) -> dict[str, float]:
-        """Whose attitudes count, and one sigma of their clock where it is another than the autopilot's."""
+        """Return the component that counts, and one sigma of its clock where it is another than the autopilot's."""
         component = self.choice.component
         if component is None:
             return {}

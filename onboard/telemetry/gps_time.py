@@ -63,16 +63,18 @@ class GpsClock:
 
     @property
     def segments(self) -> int:
-        """How often boot time began, or GPS time stepped."""
+        """The number of times that boot time began, or GPS time stepped."""
         return self._clock.segments
 
 
 def receiver_lag_s(reported_s: Array, receiver_ne_m: Array, filter_s: Array, filter_ne_m: Array) -> float:
-    """How long after it was true a receiver's fix is reported: its track (N, 2) at the boot times `reported_s` (N,)
-    against the filter's (M, 2) at `filter_s` (M,), both north, east in metres about one place.
+    """Return how long, in s, after it was true a receiver's fix is reported.
 
-    Least squares for the lag and a constant offset of both tracks, with a prior at the usual values. The estimate
-    stays at what is usual where the aircraft did not move, or flew only straight on.
+    The receiver's track (N, 2) at the boot times `reported_s` (N,) is compared with the filter's (M, 2) at `filter_s`
+    (M,), both north, east in metres about one place.
+
+    Least squares for the lag and a constant offset of both tracks, with a prior at the usual values. The estimate stays
+    at what is usual where the aircraft did not move, or flew only straight on.
     """
     lag = LAG_S
     if len(filter_s) < 10:

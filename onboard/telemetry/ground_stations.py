@@ -1,4 +1,4 @@
-"""Which MAVLink system numbers an autopilot takes for its ground stations. No link, no thread.
+"""The MAVLink system numbers that an autopilot takes for its ground stations. No link, no thread.
 
 ArduPilot declares its ground station lost when no packet of these numbers comes any more. A program on the ground that
 sends under one of them hides that loss, so their range is asked for, and other programs stay out of it.

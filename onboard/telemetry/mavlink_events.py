@@ -60,14 +60,14 @@ NO_SIGNAL = 1  # of signal_quality, per cent; 0 is unknown
 
 @dataclass(frozen=True)
 class Sources:
-    """Which message serves where an autopilot sends two with the same content."""
+    """The message that serves where an autopilot sends two with the same content."""
 
     position: str = "GLOBAL_POSITION_INT"  # or GPS_RAW_INT
     attitude: str = "ATTITUDE"  # or ATTITUDE_QUATERNION
 
     @classmethod
     def by_counts(cls, counts: Counter[str]) -> Sources:
-        """The navigation filter's position if there is one; the attitude message with the higher rate."""
+        """Return the navigation filter's position if there is one, and the attitude message with the higher rate."""
         quaternion = counts["ATTITUDE_QUATERNION"] > counts["ATTITUDE"]
         return cls(
             "GLOBAL_POSITION_INT" if counts["GLOBAL_POSITION_INT"] else "GPS_RAW_INT",
@@ -275,9 +275,9 @@ def _range(message: Any, stamp_ns: int) -> RangeFinder | None:
 
 
 def sensor_direction(orientation: int, quaternion: tuple[float, ...] = ()) -> tuple[float, float, float] | None:
-    """Where a sensor of a MAV_SENSOR_ORIENTATION looks: a unit vector in body axes (FRD); None if that is unknown.
+    """Return the direction that a sensor of a MAV_SENSOR_ORIENTATION looks in: a unit vector in body axes (FRD).
 
-    `quaternion` (w, x, y, z) counts for the custom orientation only.
+    None if it is not known. `quaternion` (w, x, y, z) counts for the custom orientation only.
     """
     if orientation == CUSTOM_ROTATION:
         norm = math.hypot(*quaternion) if len(quaternion) == 4 else 0.0

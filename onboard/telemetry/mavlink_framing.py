@@ -40,7 +40,7 @@ class SequenceGaps:
             self.lost[sender] -= 1
 
     def goes_on(self, system: int, component: int, sequence: int) -> bool:
-        """Whether this may be a sender's next packet."""
+        """Return whether this may be the next packet of a known sender."""
         newest = self._newest.get((system, component))
         return newest is not None and (sequence - newest - 1) % 256 < 128
 

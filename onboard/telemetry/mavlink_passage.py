@@ -1,4 +1,4 @@
-"""What passes through the autopilot to grounds behind its radio, in MAVLink's TUNNEL. No link, no thread.
+"""Passage through the autopilot to grounds behind its radio, in MAVLink's TUNNEL. No link, no thread.
 
 Always addressed to one ground's system and component: a broadcast TUNNEL floods every link of the autopilot. Nothing
 of a ground's is taken before it is known whether its number is one of the autopilot's ground stations: it asks again.

@@ -34,7 +34,7 @@ MAX_CLOCK_SIGMA_MS = 20.0  # as the doctor's: 0.4 m at 20 m/s
 
 
 class Autopilot:
-    """What has been received from the autopilot. `receive` and `due` are called by one thread; `health` by any."""
+    """The state of an autopilot by its messages. `receive` and `due` are called by one thread; `health` by any."""
 
     def __init__(self, config: Config) -> None:
         self.config = config.telemetry
@@ -94,7 +94,7 @@ class Autopilot:
         return self._events(message, arrival_ns)
 
     def _note(self, message: Any, arrival_ns: int) -> None:
-        """Who spoke, and when."""
+        """Note that the autopilot has sent this message; after a long silence all rates are requested again."""
         if self._received_ns is not None and arrival_ns - self._received_ns > RETURN_NS:
             self.rates.restart()
         self._received_ns = arrival_ns
@@ -161,7 +161,7 @@ class Autopilot:
     # --- out ---
 
     def due(self, now_ns: int, speaks_first: bool = False) -> list[Any]:
-        """What is to be sent now. `speaks_first`: the other end answers only senders it has received from."""
+        """Return the messages to send now. `speaks_first`: the other end answers only senders it has received from."""
         self.choice.look(now_ns)
         if self.system is None and not speaks_first:
             return []

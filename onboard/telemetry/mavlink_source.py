@@ -37,7 +37,7 @@ class End(Protocol):
         """Send over this wire from now on."""
 
     def take(self, data: bytes, now_ns: int) -> list[tuple[int, Any]]:
-        """What came in (maybe nothing) -> messages that are ready, each with its arrival, as pymavlink has them."""
+        """Take data, maybe none; return messages that are ready, each with its arrival, as pymavlink has them."""
 
     def send(self, message: Any) -> None:
         """Send one of pymavlink's messages. Raises OSError where the wire is broken."""
@@ -46,7 +46,7 @@ class End(Protocol):
         """Packets lost on the way from this system's autopilot since the start; None where that is not known."""
 
     def complaint(self) -> str:
-        """Why nothing may be understood; empty if there is no reason to think so."""
+        """The reason why nothing may be understood; empty if there is no reason to think so."""
 
     def close(self) -> None:
         """The end of it."""
@@ -90,7 +90,7 @@ class PymavlinkEnd:
             self._wire.write(bytes(packet))
 
     def lost(self, system: int) -> int | None:
-        """By the numbers in the headers of all packets, of unknown kinds too."""
+        """Return how many packets a system's autopilot lost, by the numbers in all headers, of unknown kinds too."""
         return self._gaps.lost[system, AUTOPILOT_COMPONENT]
 
     def complaint(self) -> str:
@@ -205,7 +205,7 @@ class LiveTelemetry:
         return self._config.telemetry.signing_key is not None
 
     def health(self) -> SourceStatus:
-        """From any thread."""
+        """Return the autopilot's status with the faults of wire and log; from any thread."""
         health = self._autopilot.health(self._clock.now_ns())
         figures = {**health.figures, "reopened": float(max(self._opened - 1, 0))}
         if self._lost is not None:
@@ -221,5 +221,5 @@ class LiveTelemetry:
         return replace(health, figures=figures)
 
     def send_text(self, severity: Severity, text: str) -> None:
-        """As STATUSTEXT, which ground stations show and read aloud."""
+        """Send it as STATUSTEXT, which ground stations show and read aloud."""
         self._autopilot.send_text(severity, text)

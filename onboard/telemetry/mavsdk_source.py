@@ -61,7 +61,7 @@ class MavsdkEnd:
         self._beat_ns: int | None = None  # when mavsdk's last heartbeat went out
 
     def attach(self, wire: Wire) -> None:
-        """From now on both directions run over this wire."""
+        """Let both directions run over this wire from now on."""
         with self._lock:
             self._wire, self._broken, self._beat_ns = wire, None, None
         self._finder = Framer(mavlink.MAVLink(None))
@@ -104,7 +104,7 @@ class MavsdkEnd:
         return None
 
     def complaint(self) -> str:
-        """Where there is much and no autopilot in it."""
+        """The reason to give where much comes in and no autopilot is in it; empty otherwise."""
         return f"{self._finder.garbage} bytes and no packet among them: another baud rate?" if self._is_garbage else ""
 
     @property
@@ -139,7 +139,7 @@ class MavsdkEnd:
                 return
 
     def _receive(self, message: Any, _data: object) -> None:
-        """On mavsdk's thread."""
+        """Keep a message with its arrival; called on mavsdk's thread."""
         now_ns = self._clock.now_ns()
         made = from_json(message.message_name, message.system_id, message.component_id, message.fields_json)
         if made is not None:

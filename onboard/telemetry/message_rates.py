@@ -1,4 +1,4 @@
-"""Which messages are asked of the autopilot, and how often: one request at a time, lower where it is denied.
+"""Requests for messages and their rates: one at a time, at a lower rate where it is denied.
 
 An acknowledgement names the command and not the message, so that two requests under way could not be distinguished.
 What was granted is watched: a message that comes too rarely is requested again, and everything after a reboot, a lost
@@ -114,7 +114,7 @@ class RateRequests:
 
     @property
     def _cap_hz(self) -> float:
-        """What may be asked for without a warning to the pilot that it is too much."""
+        """The highest rate that may be requested without a warning to the pilot that it is too much, Hz."""
         return most_hz(self._loop_hz or LEAST_LOOP_HZ) if self._is_ardupilot else math.inf
 
     def _all_wants(self) -> list[_Want]:
@@ -209,7 +209,7 @@ class RateRequests:
                 want.count += 1
 
     def due(self, system: int, now_ns: int) -> list[Any]:
-        """What to send now: at most one request."""
+        """Return the messages to send now: at most one request."""
         self._watch(now_ns)
         if not self.can_be_asked:
             return []
@@ -287,7 +287,7 @@ class RateRequests:
         }
 
     def complaint(self) -> str:
-        """What is needed and does not come as asked; empty if all does."""
+        """The needed message that does not come as requested, in words; empty if all do."""
         for want in self.wants:
             if not want.is_needed or want.measured_hz is None:
                 continue

@@ -272,7 +272,7 @@ class NmeaTelemetry:
                 return
 
     def health(self) -> SourceStatus:
-        """From any thread. A receiver at 1 Hz needs `telemetry.lost_after_s` above one second."""
+        """Return the receiver's status; from any thread. At 1 Hz it needs `telemetry.lost_after_s` above one second."""
         now_ns, receiver = self._clock.now_ns(), self._receiver
         figures = {
             "epochs": float(receiver.epochs),

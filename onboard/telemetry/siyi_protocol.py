@@ -97,7 +97,7 @@ def attitude_deg(packet: Packet) -> tuple[float, float, float] | None:
 
 
 def zoom_times(packet: Packet) -> float | None:
-    """How many times the widest view is enlarged; None where the packet holds no zoom."""
+    """Return how many times the widest view is enlarged; None where the packet holds no zoom."""
     if packet.command != ZOOM or len(packet.data) != 2:
         return None
     whole, tenths = packet.data

@@ -37,7 +37,7 @@ LATE_AFTER_S = 10.0
 
 
 def siyi_address(url: str) -> Address:
-    """Where `mount.gimbal_url` leads. Raises ConfigError, one line, for what can never be opened."""
+    """Return the address that `mount.gimbal_url` names. Raises ConfigError, one line, for what can never be opened."""
     scheme, _, rest = url.partition(":")
     if scheme != "siyi":
         raise ConfigError(f"mount.gimbal_url {url!r}: unknown kind {scheme!r}; write siyi:HOST:PORT")
@@ -59,7 +59,9 @@ class SiyiAnswers:
         self._sequence = 0
 
     def due(self, now_ns: int) -> list[bytes]:
-        """What is to be sent now. One request of a kind is open at a time, so that its answer is known to be its."""
+        """Return the packets to send now. One request of a kind is open at a time, so that its answer is known to be
+        its.
+        """
         out = []
         for command, due_ns in self._due.items():
             asked_ns = self._asked.get(command)
@@ -71,7 +73,7 @@ class SiyiAnswers:
         return out
 
     def take(self, data: bytes, now_ns: int) -> list[GimbalAttitude | Zoom]:
-        """What has come in, maybe nothing -> events. An answer that nothing open has asked for is passed over."""
+        """Return the events of data that came in, maybe none. An answer to no open request is passed over."""
         out: list[GimbalAttitude | Zoom] = []
         for packet in self.reader.feed(data):
             asked_ns = self._asked.pop(packet.command, None)
@@ -113,7 +115,7 @@ class SiyiGimbal:
                 stop.wait(REOPEN_S)
 
     def health(self) -> SourceStatus:
-        """From any thread."""
+        """Return the gimbal's status; from any thread."""
         answers, now_ns = self._answers, self._clock.now_ns()
         figures = {"gimbal_damaged": float(answers.reader.damaged), "gimbal_garbage": float(answers.reader.garbage)}
         if answers.received_ns is None:

@@ -1,4 +1,4 @@
-"""Which number of `GPS(a, b, c)` in DJI's subtitles is the latitude: models differ, and nothing labels them.
+"""The order of latitude and longitude in `GPS(a, b, c)` of DJI's subtitles: models differ, and nothing labels them.
 
 Evidence, the surest first: a number beyond 90 is a longitude; what the operator states; a distance from home or a speed
 in the same subtitles, which fits one order only, because a degree of longitude is shorter than one of latitude; and the
@@ -86,7 +86,7 @@ def _by_range(places: list[UnlabelledPlace]) -> Order | None:
 
 
 def _by_format(places: list[UnlabelledPlace]) -> tuple[Order, str] | None:
-    """By the third number; nearly all places must have the same format (some may be damaged)."""
+    """Return the order by the third number, if nearly all places have the same format (some may be damaged)."""
     usual, count = Counter(_model(place) for place in places).most_common(1)[0]
     return usual if count >= SAME_SHARE * len(places) else None
 
@@ -102,7 +102,7 @@ def _model(place: UnlabelledPlace) -> tuple[Order, str] | None:
 
 
 def _by_distances(places: list[UnlabelledPlace]) -> tuple[Order, str] | None:
-    """By the distances from home, else by the speeds, that the same subtitles state."""
+    """Return the order by distances from home, else by speeds, that the same subtitles state; None if neither."""
     misses = {order: _distance_miss(places, order) for order in ORDERS}
     best, other = sorted(ORDERS, key=lambda order: misses[order])
     if misses[best] <= 1.0 and misses[other] > EXCLUDED:
@@ -137,7 +137,10 @@ def _distance_miss(places: list[UnlabelledPlace], order: Order) -> float:
 
 
 def _share_too_fast(places: list[UnlabelledPlace], order: Order) -> float:
-    """Of stretches of the track that moved far enough to decide: how many are longer than the stated speeds allow."""
+    """Return the share of stretches of the track that are longer than the stated speeds allow.
+
+    Only those that are long enough to decide count; 0 with fewer than MIN_SPEED_WINDOWS of them.
+    """
     known = [place for place in places if place.speed_m_s is not None]
     times_ns = [place.at_ns for place in known]
     travelled_m = np.zeros(len(known))

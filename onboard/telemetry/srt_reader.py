@@ -88,7 +88,7 @@ class _Subtitle:
 
 
 def looks_like_subtitles(head: bytes) -> bool:
-    """Whether a file that begins so has subtitles."""
+    """Return whether a file that begins with `head` has subtitles."""
     return _INTERVAL.search(head.decode("utf-8", "replace")) is not None
 
 
@@ -231,7 +231,7 @@ def _dzoom(ratio: float | None, text: str) -> float | None:
 
 
 def _ordered(subtitles: list[_Subtitle], stated: Order | None) -> tuple[list[_Subtitle], list[str]]:
-    """With the places of `GPS(a, b)` in their order, and how that was found."""
+    """Return the subtitles with the places of `GPS(a, b)` in their order, and how that was found."""
     unlabelled = [s.unlabelled for s in subtitles if s.unlabelled is not None]
     unlabelled = [place for place in unlabelled if (place.first, place.second) != (0.0, 0.0)]
     if not unlabelled:
@@ -268,7 +268,7 @@ def _height_note(claims: list[GpsQuality]) -> list[str]:
 
 
 def _zoom_steps(subtitles: list[_Subtitle], epoch_ns: int) -> tuple[tuple[int, float], ...]:
-    """When the digital zoom became what."""
+    """Return each change of the digital zoom: its Unix time, ns, and the new zoom."""
     out: list[tuple[int, float]] = []
     for s in subtitles:
         if s.dzoom is not None and (not out or out[-1][1] != s.dzoom):
@@ -303,7 +303,7 @@ def _date_ns(text: str) -> int | None:
 
 
 def _epoch_ns(subtitles: list[_Subtitle]) -> tuple[int, list[str]]:
-    """When the video began: the dates less the video's time; and a note of dates that contradict it.
+    """Return when the video began, by the dates less the video's time, and a note of dates that contradict it.
 
     Whole seconds are cut off, never rounded up, so that the latest beginning that they allow is the best. Raises
     InputError where dates contradict one another and too few agree.

@@ -1,4 +1,4 @@
-"""What every reader of a recorded log gives: events and when they arrived."""
+"""The result of every reader of a recorded log: events and when they arrived."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class TelemetryLog:
 
     @classmethod
     def by_stamp(cls, events: Iterable[NavEvent], boot_segments: int = 1) -> TelemetryLog:
-        """Of a log that no link has delayed: each value arrives when it is true. Events of one moment keep their
+        """Return a log that no link has delayed: each value arrives when it is true. Events of one moment keep their
         order.
         """
         ordered = sorted(events, key=lambda event: event.stamp_ns)

@@ -166,14 +166,14 @@ class TimeSync:
 
 @dataclass(frozen=True)
 class _Piece:
-    """From `start_ns` on: the target line, plus a gap that closes."""
+    """The clock from `start_ns` on: the target line, plus a gap that closes."""
 
     start_ns: int
     line: Line
     gap_ns: float
 
     def gap(self, boot_ns: int) -> float:
-        """How far (ns) the clock that is used is from its target at a boot time."""
+        """Return how far (ns) the clock that is used is from its target at a boot time."""
         closed = SLEW * max(boot_ns - self.start_ns, 0)
         return math.copysign(max(abs(self.gap_ns) - closed, 0.0), self.gap_ns)
 
@@ -260,7 +260,7 @@ class LinkClock:
         self._note_figures()
 
     def is_known(self, now_ns: int) -> bool:
-        """Whether stamps may be used: after a few exchanges, or after some time of any messages."""
+        """Return whether stamps may be used: after a few exchanges, or after some time of any messages."""
         return self._arrivals.segments > 0 and (
             self.sync.exchanges >= FIRST_EXCHANGES or now_ns - self._began_ns >= HOLD_NS
         )
@@ -306,7 +306,7 @@ class LinkClock:
 
     @property
     def _is_synchronised(self) -> bool:
-        """Whether exchanges serve: there are some, and they are new or still better than arrivals."""
+        """True if exchanges serve: there are some, and they are new or still better than arrivals."""
         line = self.sync.line_at(self._newest_ns)
         if line is None:
             return False

@@ -43,7 +43,7 @@ class PlayedTelemetry:
             stop.wait(0.5)
 
     def health(self) -> SourceStatus:
-        """As of a live link; lost at the log's end."""
+        """Return the status as of a live link; lost at the log's end."""
         health = self._autopilot.health(self._clock.now_ns())
         if self._is_over:
             return SourceStatus(State.LOST, f"the end of {self._path.name}", health.figures)

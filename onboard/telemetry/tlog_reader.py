@@ -67,7 +67,10 @@ def read_tlog(path: Path | str, clock: Mode = "auto", gimbal: int = 0, chosen: i
 
 
 def _shots(own: list[tuple[int, Any]]) -> tuple[int, ...]:
-    """When a camera was triggered (CAMERA_FEEDBACK, on UTC), on the log's clock: by the least delayed UTC in it."""
+    """Return when a camera was triggered (CAMERA_FEEDBACK, on UTC), on the log's clock.
+
+    UTC is mapped to it by its least delayed message; without one the arrival counts.
+    """
     ahead_ns = [t - m.time_unix_usec * 1000 for t, m in own if m.get_type() == "SYSTEM_TIME" and m.time_unix_usec]
     shots = {m.time_usec: t for t, m in own if m.get_type() == "CAMERA_FEEDBACK"}
     return tuple(
@@ -188,5 +191,5 @@ def _packet_at(data: bytes, start: int) -> tuple[int, int] | None:
 
 
 def _starts_packet(data: bytes, position: int) -> bool:
-    """Whether another stamped packet, or the end of the file, follows."""
+    """Return whether another stamped packet, or the end of the file, follows."""
     return position + 9 > len(data) or data[position + 8] in (mavlink.PROTOCOL_MARKER_V1, mavlink.PROTOCOL_MARKER_V2)

@@ -29,13 +29,13 @@ class Wire(Protocol):
     may_die_silently: bool  # it can be dead without an error: to be opened again after long silence
 
     def read(self, timeout_s: float) -> bytes:
-        """What has come in, waiting at most that long; empty if nothing has. Raises OSError when broken."""
+        """Return data that has come in, waiting at most that long; empty if none has. Raises OSError when broken."""
 
     def write(self, data: bytes) -> None:
         """Send; what has no receiver is lost. Raises OSError when broken."""
 
     def confirm(self) -> None:
-        """What was read last came from the vehicle: answers go there."""
+        """Confirm that the data read last came from the vehicle: answers go there."""
 
     def close(self) -> None:
         """The end of it."""
@@ -43,7 +43,7 @@ class Wire(Protocol):
 
 @dataclass(frozen=True)
 class Address:
-    """Where a wire leads: `place` is a device or a host, `number` a baud rate or a port."""
+    """The address of a wire: `place` is a device or a host, `number` a baud rate or a port."""
 
     scheme: str
     place: str
@@ -51,7 +51,7 @@ class Address:
 
     @classmethod
     def parse(cls, url: str, schemes: tuple[str, ...] = ("serial", "udpin", "udpout", "tcp")) -> Address:
-        """Raises ConfigError, one line, for what can never be opened."""
+        """Return the address that a URL names. Raises ConfigError, one line, for what can never be opened."""
         scheme, _, rest = url.partition(":")
         place, _, number = rest.rpartition(":")
         if scheme not in schemes:

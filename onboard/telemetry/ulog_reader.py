@@ -297,7 +297,7 @@ def _filter_statuses(topic: _Topic, local: _Topic, clock: GpsClock) -> list[NavE
 
 
 def _shots(topics: dict[str, _Topic], clock: GpsClock) -> tuple[int, ...]:
-    """When pictures were taken, as the camera reported, else as it was triggered."""
+    """Return when pictures were taken, Unix ns: as the camera reported, else as it was triggered."""
     reported, triggered = topics["camera_capture"], topics["camera_trigger"]
     taken = reported.column("result", unknown=1.0) > 0
     boot_us = reported.boot_us[taken] if taken.any() else triggered.boot_us

@@ -63,7 +63,7 @@ class VehicleChoice:
                 self.system = self._only
 
     def refusal(self, now_ns: int) -> str:
-        """Why nothing of a vehicle of ours has been received yet."""
+        """Return the reason why nothing from a vehicle of ours has been received yet."""
         others = self._recent(now_ns)
         if self.system is not None:
             there = f", but {_listed(others)}: is telemetry.system right?" if others else ""
