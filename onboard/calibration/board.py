@@ -16,7 +16,7 @@ from onboard.calibration.intrinsics import View
 Grey = NDArray[np.uint8]
 
 LEAST_CORNERS = 8
-"""Of a view: fewer constrain little and are more often wrong."""
+"""The least number of corners in a view: fewer constrain little and are more often wrong."""
 MAX_SQUARES = 40
 DICTIONARIES = tuple(
     sorted(

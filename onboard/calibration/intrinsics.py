@@ -63,7 +63,7 @@ class Model:
 
     @property
     def columns(self) -> list[int]:
-        """Which of `PARAMETERS` are free."""
+        """Indices of those of `PARAMETERS` that are free."""
         return sorted([0, 1, 2, 3, *_K_COLUMNS[: self.radial], *(_P_COLUMNS if self.is_tangential else ())])
 
 
@@ -101,7 +101,7 @@ class Fit:
         return float(count * np.log(max(squares, 1e-12) / count) + len(self.model.columns) * np.log(count))
 
     def tilts_deg(self) -> Array:
-        """How far each board leans from facing the camera: about the picture's x and y axes, (N, 2), degrees."""
+        """The lean of each board from facing the camera: about the picture's x and y axes, (N, 2), degrees."""
         normals = np.array([R[:, 2] for R in self.R_cam_board])
         leans: Array = np.degrees(np.arctan2(normals[:, [1, 0]], normals[:, [2]]))
         return leans
@@ -136,7 +136,7 @@ def calibrate(views: list[View], size_px: tuple[int, int]) -> tuple[Fit, list[Vi
 
 
 def rayless_share(camera: Camera) -> float:
-    """How much of the picture has no ray, because the polynomial folds there."""
+    """The share of the picture that has no ray, because the polynomial folds there."""
     width, height = camera.size_px
     u, v = np.meshgrid(np.linspace(0, width - 1, 41), np.linspace(0, height - 1, 31))
     _, is_valid = camera.unproject(np.stack([u, v], axis=-1))

@@ -1,4 +1,4 @@
-"""Whether a calibration may be used in flight, in words, and what to do if not; and its picture."""
+"""The verdict on a calibration, in words: fit for flight, or what to do; and its picture."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ HIGH_ERROR = 1.0 / 800.0
 """Reprojection error as a share of the picture's width: 0.8 px at 640."""
 RAY_SIGMA_SHARE = 1.0 / 640.0
 MOST_RAYLESS = 0.05
-"""Of the picture: corners beyond the fold are left out in flight, they are not wrong."""
+"""The largest share of the picture without rays: corners beyond the fold are left out in flight, they are not wrong."""
 _THIRDS = (("upper left", "top", "upper right"), ("left", "middle", "right"), ("lower left", "bottom", "lower right"))
 
 
@@ -61,7 +61,7 @@ def bare_places(views: list[View] | tuple[View, ...], size_px: tuple[int, int]) 
 
 
 def lacking_tilts(fit: Fit) -> list[str]:
-    """Which ways boards should lean more: 'forwards or backwards', 'to the left or right'."""
+    """The ways in which boards should lean more: 'forwards or backwards', 'to the left or right'."""
     tilted = np.sum(np.abs(fit.tilts_deg()) >= LEAST_TILT_DEG, axis=0)
     return [way for way, count in zip(("forwards or backwards", "to the left or right"), tilted, strict=True)
             if count < LEAST_TILTED]  # fmt: skip
@@ -142,7 +142,7 @@ def report(fit: Fit, dropped: list[View]) -> str:
 
 
 def coverage_picture(fit: Fit, verdict: Verdict) -> NDArray[np.uint8]:
-    """Where corners were seen, with their residuals magnified, (H, W, 3) BGR. Cells without corners are red."""
+    """A picture (H, W, 3), BGR, of the corners with their residuals magnified. Cells without corners are red."""
     width, height = fit.camera.size_px
     scale = max(1, round(960 / width))
     canvas = np.full((height * scale, width * scale, 3), 255, np.uint8)

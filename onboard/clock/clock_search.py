@@ -1,4 +1,4 @@
-"""By how much a camera's clock and a log's differ: found over the whole log, or refused. (28.7), (28.8)
+"""The offset between a camera's clock and a log's: found over the whole log, or refused. (28.7), (28.8)
 
 Photographs, videos and beginnings that a person states are one question here: moments by the camera's clock, what is
 stated of it beforehand, how the pictures move, and which shots the autopilot has recorded.
@@ -205,7 +205,7 @@ class _Cost:
         return bool(self.evidence.shots_ns) or (is_explained and _dispersion(square) < MISFIT)
 
     def text(self, stated: Stated | None, square: Array) -> str:
-        """By what the offset is known."""
+        """The evidence that the offset is known by, in words."""
         by = []
         if stated is not None:
             by.append(stated.source)
@@ -217,6 +217,6 @@ class _Cost:
 
 
 def _dispersion(square: Array) -> float:
-    """By how much the pairs' squared errors exceed what is expected of them; 1 at least."""
+    """The ratio of the pairs' squared errors to the expected ones, by their medians; at least 1."""
     known = square[np.isfinite(square)]
     return max(float(np.median(known)) / median_chi2(4), 1.0) if len(known) else 1.0

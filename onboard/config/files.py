@@ -36,7 +36,7 @@ def _merge(merged: dict[str, Any], later: dict[str, Any]) -> None:
 
 
 def state_folder(config: Config, environment: dict[str, str]) -> Path:
-    """Where the daemon keeps its estimates and recordings; made if absent. Raises ConfigError if it cannot be."""
+    """The folder of the daemon's estimates and recordings, made if absent. Raises ConfigError if it cannot be."""
     named = config.service.state_dir or environment.get("STATE_DIRECTORY", "").split(":")[0]
     folder = Path(named) if named else Path.home() / ".local" / "state" / "pointclick"
     try:

@@ -147,7 +147,7 @@ class CameraConfig(Section):
     @model_validator(mode="before")
     @classmethod
     def _delay_by_source(cls, given: Any) -> Any:
-        """What is not stated of the delay, by where pictures come from."""
+        """Fill in the values of the delay that are not stated, by the kind of source of the pictures."""
         if not isinstance(given, dict):
             return given
         device, clock = given.get("device"), given.get("stream_clock")
@@ -156,7 +156,7 @@ class CameraConfig(Section):
 
     @property
     def is_rolling(self) -> bool:
-        """Whether rows are, or may be, exposed one after the other."""
+        """True if rows are, or may be, exposed one after the other."""
         return self.readout_s != 0.0 or self.sigma_readout_s > 0.0
 
 
@@ -176,7 +176,7 @@ class ThermalConfig(Section):
 
     @property
     def words(self) -> str:
-        """What is known of the counts, for people; empty where the camera is no thermal one."""
+        """A description of the counts, for people; empty if the camera is no thermal one."""
         if not self.enabled:
             return ""
         return "thermal, uncalibrated" if self.scale is None else f"thermal, {self.scale:g} K a count"
@@ -414,7 +414,7 @@ class Config(Section):
 
     @property
     def heat(self) -> ThermalConfig:
-        """What is known of the counts in which hot spots are looked for: the second camera's where there is one."""
+        """The thermal section that describes the counts searched for hot spots: the second camera's if there is one."""
         second = self.camera.thermal
         return (
             ThermalConfig(enabled=True, scale=second.scale, offset=second.offset) if second.is_stated else self.thermal
@@ -533,7 +533,7 @@ def _bounds(info: FieldInfo) -> tuple[float, float] | None:
 
 
 def _expectation(info: FieldInfo) -> str:
-    """What a key takes, in words: '-180 to 180 deg', 'true or false', ..."""
+    """The values that a key takes, in words: '-180 to 180 deg', 'true or false', ..."""
     bounds = _bounds(info)
     if bounds is not None:
         extra = info.json_schema_extra if isinstance(info.json_schema_extra, dict) else {}

@@ -38,7 +38,7 @@ class SecondCamera(Section):
 
     @property
     def is_stated(self) -> bool:
-        """Whether there is one, here or in a recording."""
+        """True if there is a second camera, here or in a recording."""
         return self.file is not None
 
     @property

@@ -1,4 +1,4 @@
-"""What the configuration's sections are made of: typed, frozen, every key with unit, range, default and meaning."""
+"""The base of the configuration's sections: typed, frozen, every key with unit, range, default and meaning."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What enters the pipeline and what leaves it: event types, the protocols of sources and sinks, the clock of a session.
+"""The pipeline's input and output: event types, the protocols of sources and sinks, the clock of a session.
 
 Public:
 

@@ -32,5 +32,5 @@ class SessionClock:
         return time.monotonic_ns() + self.offset_ns
 
     def host_step_s(self) -> float:
-        """How far the host's Unix clock has moved away from the session's: steps and slews since the start."""
+        """The host's Unix clock minus the session's (s): steps and slews since the start."""
         return (time.time_ns() - self.now_ns()) / 1e9

@@ -1,4 +1,4 @@
-"""What events and feature sets go to: the link, a recording, a comparison."""
+"""The protocol of receivers of events and feature sets: the link, a recording, a comparison."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from onboard.events.types import Event
 
 
 class Sink(Protocol):
-    """What events and feature sets go to. Entered before the first event; left after the last, or with the error."""
+    """A receiver of events and feature sets. Entered before the first event; left after the last, or with the error."""
 
     def __enter__(self) -> Self: ...
 

@@ -1,4 +1,4 @@
-"""What the daemon asks of everything that yields events: cameras, autopilots, receivers.
+"""The protocol of everything that yields events to the daemon: cameras, autopilots, receivers.
 
 A source is run in a thread of its own until it is stopped. Whatever the field does to it (unplugged, silent,
 garbage, back under another name) is its own business: it reopens for good, reports its state, and raises only for what
@@ -23,7 +23,7 @@ Emit = Callable[[int, Event], None]
 
 
 class State(Enum):
-    """How a source is. Values are the words users see."""
+    """The state of a source. Values are the words users see."""
 
     STARTING = "starting"
     OK = "ok"
@@ -33,7 +33,7 @@ class State(Enum):
 
 
 class Severity(Enum):
-    """Of a message to the people around the aircraft; values are MAVLink's MAV_SEVERITY and syslog's priorities."""
+    """The severity of a message to the people around the aircraft, as in MAVLink's MAV_SEVERITY and syslog."""
 
     ERROR = 3
     WARNING = 4
@@ -43,7 +43,7 @@ class Severity(Enum):
 
 @dataclass(frozen=True)
 class SourceStatus:
-    """How a source is just now. `figures` are named with their unit: `rate_hz`, `dropped`, `round_trip_ms`, ..."""
+    """The status of a source now. `figures` are named with their unit: `rate_hz`, `dropped`, `round_trip_ms`, ..."""
 
     state: State
     detail: str = ""

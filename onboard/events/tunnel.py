@@ -1,4 +1,4 @@
-"""What may travel through the autopilot next to telemetry, to and from grounds behind its radio."""
+"""The protocol of data that travels through the autopilot next to telemetry, to and from grounds behind its radio."""
 
 from __future__ import annotations
 
@@ -16,8 +16,9 @@ class Peer(NamedTuple):
 
 @dataclass(frozen=True)
 class RadioReport:
-    """How it goes through the autopilot's radio. `bit_rate`, `set_s`: as to a ground that listens, None without one.
+    """The state of the traffic through the autopilot's radio.
 
+    `bit_rate`, `set_s`: as to a ground that listens, None without one.
     `finding`: what is amiss and what to do, in words. `unheard`: questions whose answers did not arrive.
     `free_percent`: of the radio's own buffer, by a RADIO_STATUS that came to us.
     """
@@ -37,7 +38,7 @@ class TunnelEnd(Protocol):
         """A ground has sent this."""
 
     def due(self) -> Iterable[tuple[Peer, bytes]]:
-        """What is to be sent now, and to which ground."""
+        """The messages to send now, each with the ground that it is for."""
 
     def charge(self, wire_bytes: int) -> None:
         """The autopilot was sent so many bytes that it passes on to its radios."""

@@ -1,4 +1,4 @@
-"""What enters the pipeline: immutable, each with its own `stamp_ns` on one clock (Unix nanoseconds of the host or log).
+"""Events that enter the pipeline: immutable, each with its `stamp_ns` on one clock (Unix nanoseconds of host or log).
 
 `stamp_ns` is when the thing was true (mid-exposure, the autopilot's own stamp mapped by `clock`), not when it arrived.
 """
@@ -45,9 +45,9 @@ class PositionFix:
 
 @dataclass(frozen=True)
 class GpsQuality:
-    """What the receiver reports of itself; None where it does not. `undulation_m` = ellipsoidal minus AMSL height.
+    """The receiver's report on itself; None where it has no value. `undulation_m` = ellipsoidal minus AMSL height.
 
-    `sigma_datum_m`: one sigma of where a log's heights count from, one error of all of them.
+    `sigma_datum_m`: one sigma of the origin of a log's heights, one error that all of them share.
     """
 
     stamp_ns: int
@@ -75,7 +75,7 @@ class Attitude:
 
 @dataclass(frozen=True)
 class FilterStatus:
-    """What the autopilot's navigation filter reports of itself (EKF_STATUS_REPORT, ESTIMATOR_STATUS)."""
+    """The report of the autopilot's navigation filter on itself (EKF_STATUS_REPORT, ESTIMATOR_STATUS)."""
 
     stamp_ns: int
     has_position: bool  # horizontal position is absolute by its own estimate
@@ -114,10 +114,11 @@ ZoomUnit = Literal["focal_px", "times", "percent", "hfov_deg"]  # the better fir
 
 @dataclass(frozen=True)
 class Zoom:
-    """How far the lens is zoomed in, as reported: how many "times" the widest view is enlarged, "percent" of the
-    way from the widest to the longest, the focal length of the full picture in pixels, or its horizontal field of view.
-    `step`: the smallest difference that can be reported. `is_of_picture`: the stamp is a picture's, on the camera's
-    clock.
+    """The reported zoom of the lens, in one of several units.
+
+    "times": the enlargement of the widest view; "percent": of the way from the widest to the longest; or the focal
+    length of the full picture in pixels, or its horizontal field of view. `step`: the smallest difference that can be
+    reported. `is_of_picture`: the stamp is a picture's, on the camera's clock.
     """
 
     stamp_ns: int

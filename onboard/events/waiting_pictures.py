@@ -6,7 +6,7 @@ from onboard.events.types import Event, Frame
 
 
 class WaitingPictures:
-    """At most so many, the newest: a picture whose set never comes is forgotten. For one thread."""
+    """The newest pictures, at most so many: one whose set never comes is forgotten. For one thread."""
 
     def __init__(self, most: int) -> None:
         self._most = most

@@ -199,7 +199,7 @@ def start_pair(
 
 
 def _ahead(rays1: Array, rays2: Array, Q: Array, t_cam1: Array) -> Mask:
-    """Whether each pair of rays meets before both cameras."""
+    """A mask of the pairs of rays that meet in front of both cameras."""
     centres = np.stack([np.zeros(3), t_cam1])
     xy = np.stack([rays1[:, :2], rays2[:, :2]])
     return triangulate(np.stack([np.eye(3), Q]), centres, xy, np.ones(xy.shape[:2], bool)).is_ahead

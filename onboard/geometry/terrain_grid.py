@@ -44,7 +44,7 @@ class Terrain:
         return height + nan, np.stack([east, north], axis=-1) + nan[:, None]
 
     def covers(self, xy_enu_m: Array, margin_m: float) -> bool:
-        """Whether a place (2,) lies inside by at least a margin."""
+        """Return whether a place (2,) lies inside by at least a margin."""
         rows, columns = self.heights_m.shape
         x, y = xy_enu_m[0] - self.west_m, xy_enu_m[1] - self.south_m
         return bool(

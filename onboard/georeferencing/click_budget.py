@@ -22,7 +22,7 @@ CHI2_90 = -2.0 * np.log(0.1)
 
 @dataclass(frozen=True)
 class Budget:
-    """Of one click: the semi-major axis of its 90 % ellipse (m), and each source's share of its horizontal variance.
+    """One click's error: semi-major axis of its 90 % ellipse (m), and each source's share of its horizontal variance.
 
     `shares` by the codes of `contract.error_sources`; they add up to 1, the largest first.
     """
@@ -50,7 +50,7 @@ class Budget:
 
 
 def click_budget(placed: Placed, xy: tuple[float, float] = (0.0, 0.0)) -> Budget:
-    """Of a click at unit-depth coordinates `xy` of a picture that the window's points have placed."""
+    """The budget of a click at unit-depth coordinates `xy` of a picture that the window's points have placed."""
     terms = click_terms(placed, xy)
     horizontal = {name: float(np.trace(term[:2, :2])) for name, term in terms.items()}
     total = sum(horizontal.values())

@@ -40,7 +40,7 @@ MAX_SHARED = 0.999
 
 @dataclass(frozen=True)
 class Origin:
-    """What identifies the picture: everything in the set that is not geometry."""
+    """The picture's identity: everything in the set that is not geometry."""
 
     vehicle: str
     session: int
@@ -79,7 +79,7 @@ class Placed:
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """What the ground plane is fitted to: (N,) of each, and which of them travel."""
+    """The N features that the ground plane is fitted to, and which of them are published."""
 
     H: Array  # (N, 3) rows (1, x, y)
     uv_px: Array  # (N, 2)

@@ -1,4 +1,4 @@
-"""Whether a newer solution would answer clicks on a picture otherwise than the set that it has.
+"""The test whether a newer solution would change the answers to clicks on a picture, or its set still holds.
 
 A click names a piece of ground that is seen at its pixel. Where the points of the ground have not moved, it has the
 same answer; and where they are known no better or worse, the same radius. What remains is ground that could not be
@@ -37,7 +37,7 @@ class Revisions:
         self._radius_m = 0.0  # the least by the newer of that pair, where its rows take another time
 
     def is_needless(self, placed: Placed, now: Solved) -> bool:
-        """Whether the picture need not be placed again by `now`."""
+        """Return whether the picture need not be placed again by `now`."""
         before = placed.solved
         if before is now:
             return True
@@ -49,7 +49,7 @@ class Revisions:
 
 
 def are_same(before: Solved, now: Solved) -> bool:
-    """Whether the points that two solutions have in common are where they were, and known as well as they were."""
+    """Return whether the points common to two solutions are where they were, and known as well as they were."""
     one, other = before.common(now)
     if not len(one):
         return False
@@ -70,7 +70,7 @@ def _least_radius_m(solved: Solved) -> float:
 
 
 def _rows_move_m(feature_set: FeatureSet, longer_s: float) -> float:
-    """How far over the ground clicks move at most if the rows take so much longer to read: in the corners. (18.5)"""
+    """The largest distance (m) that clicks move over the ground if the readout takes longer: at the corners. (18.5)"""
     if feature_set.shutter is None or longer_s == 0.0:
         return 0.0
     rays, _ = feature_set.camera.unproject(corners_of(feature_set.camera.size_px))
@@ -80,7 +80,7 @@ def _rows_move_m(feature_set: FeatureSet, longer_s: float) -> float:
 
 
 def _reaches_m(solved: Solved, rows: NDArray[np.intp], stamp_ns: int) -> Array:
-    """Of points: semi-major axes of the horizontal 90 % ellipses, and how far 90 % of heights are off, (2, N)."""
+    """Points' errors (2, N), m: semi-major axes of the horizontal 90 % ellipses, and 90 % intervals of the heights."""
     s = solved.solution
     gain = s.point_gain[rows]
     covariance = gain @ solved.covariance_at(stamp_ns) @ gain.transpose(0, 2, 1) + s.point_covariance[rows]
@@ -89,7 +89,7 @@ def _reaches_m(solved: Solved, rows: NDArray[np.intp], stamp_ns: int) -> Array:
 
 
 def is_all_in_reach(uv_px: Array, size_px: tuple[int, int]) -> bool:
-    """Whether every pixel of a picture is near enough to the hull of features (N, 2) for a click to be answered."""
+    """Return whether every pixel of a picture is near enough to the hull of features (N, 2) to answer a click."""
     if len(uv_px) < 3:
         return False
     hull = cv2.convexHull(uv_px.astype(np.float32))

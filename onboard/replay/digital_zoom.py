@@ -32,7 +32,7 @@ class OfOneZoom:
 
     @property
     def names(self) -> list[str]:
-        """What each frame is called, in the same order."""
+        """The frames' names, in the same order."""
         names = self.source.names
         return [names[i] for i in self.kept]
 

@@ -21,7 +21,7 @@ MAX_HELD = 256  # pictures that wait for their set
 
 @dataclass(frozen=True)
 class Clicked:
-    """What is to be followed: a pixel of a picture."""
+    """A target to follow: a pixel of a picture."""
 
     frame: int
     u_px: float

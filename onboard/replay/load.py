@@ -1,7 +1,7 @@
-"""What pictures cost this computer: the pipeline on events, with the processor's time by stage.
+"""The load of pictures on this computer: the pipeline on events, with the processor's time by stage.
 
 As in the daemon, one thread does everything from an event to the bytes of its feature sets, another solves windows.
-Processor time is counted, not the wall's: what makes the events (a decoder, a made flight) is left out.
+Processor time is counted, not wall time; the source of the events (a decoder, a simulated flight) is left out.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from onboard.events.types import Event, Frame
 from onboard.pipeline.pipeline import Pipeline
 
 SHARE = 0.5
-"""Of a core that pictures may take: the driver, its decoder, telemetry, link and recording want as much again, and all
-of it runs in one Python, which works on one core at a time."""
+"""The share of a core that pictures may take: driver, decoder, telemetry, link and recording need as much again, and
+all of it runs in one Python, which works on one core at a time."""
 WARM_UP = 30  # pictures, not counted: caches fill, and the first window begins
 
 
 @dataclass(frozen=True)
 class Load:
-    """What was measured. `stage_ms` a picture, processor time; `solve` runs in a thread of its own."""
+    """The measured load. `stage_ms`: processor time of a picture by stage; `solve` runs in a thread of its own."""
 
     replayed: int  # pictures
     solved: int  # of those

@@ -22,7 +22,7 @@ STEP_S = 0.1  # in what is asked for, so that it reads well
 
 
 def photo_telemetry(photos: list[PhotoMetadata], stamps_ns: list[int], undulation_m: float | None) -> TelemetryLog:
-    """Of photographs in order of capture, with their times. `undulation_m` brings ellipsoidal heights to sea level.
+    """The telemetry of photographs in order of capture; `undulation_m` brings ellipsoidal heights to sea level.
 
     Raises InputError, one line, if a photograph has no position.
     """
@@ -53,7 +53,7 @@ def side_lacking(photo: PhotoMetadata) -> str:
 
 
 def _height_notes(photos: list[PhotoMetadata], undulation_m: float | None) -> tuple[str, ...]:
-    """What the operator should know of heights whose origin is not known."""
+    """Notes for the operator on heights whose origin is not known."""
     unsure_m = max((datum_sigma_m(photo, undulation_m) or 0.0 for photo in photos), default=0.0)
     if not unsure_m:
         return ()
@@ -73,13 +73,13 @@ def check_gaps(config: Config, stamps_ns: list[int]) -> None:
 
 
 def _usual_s(stamps_ns: list[int]) -> float:
-    """How far apart all but the longest tenth are."""
+    """The interval (s) between pictures that all but the longest tenth do not exceed."""
     apart_s = sorted((after - before) / 1e9 for before, after in itertools.pairwise(stamps_ns))
     return apart_s[(9 * (len(apart_s) - 1)) // 10] if apart_s else 0.0
 
 
 def gap_to_join_s(stamps_ns: list[int]) -> float:
-    """What both gaps of the configuration must be to join these pictures, as far as any may be joined."""
+    """The value (s) of both gaps in the configuration that joins these pictures, at most the largest allowed."""
     apart_s = max(((after - before) / 1e9 for before, after in itertools.pairwise(stamps_ns)), default=0.0)
     return min(round(apart_s + STEP_S, 1), MAX_GAP_S)
 

@@ -112,7 +112,7 @@ class Flight:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the operator should know of how the inputs were read, one line each."""
+        """Notes for the operator on how the inputs were read, one line each."""
         return (*self.telemetry.notes, *self.frames.notes)
 
     def events(self) -> Iterator[tuple[int, Event]]:
@@ -136,7 +136,7 @@ class Events(Protocol):
 
     @property
     def stamps_ns(self) -> Sequence[int]:
-        """Of the pictures."""
+        """Capture times of the pictures."""
 
     def events(self) -> Iterator[tuple[int, Event]]:
         """Everything in the order in which it arrived, with that time (Unix ns)."""

@@ -1,4 +1,4 @@
-"""What was learned of boresight and time offset, kept in a file between sessions."""
+"""The estimates of mount, clock, delays, compass and camera, kept in a file between sessions."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class StateFile:
         self.path = path
 
     def text(self) -> str:
-        """What it holds, for the recording; nothing on a first flight. Raises InputError."""
+        """The file's content, for the recording; empty on a first flight. Raises InputError."""
         try:
             return self.path.read_text(encoding="utf-8") if self.path.exists() else ""
         except (OSError, UnicodeDecodeError) as error:

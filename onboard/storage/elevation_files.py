@@ -20,8 +20,8 @@ from onboard.geometry.terrain_grid import Terrain
 Array = NDArray[np.float64]
 
 MISS_HOLDS = 1.0 / 3.0
-"""Of the radius: how far from a place without any data it is taken that there still is none. Reading takes a tenth of a
-second and more, too much for every picture; two thirds of the radius stay known to be empty all the same."""
+"""The share of the radius within which a place without any data stands for its neighbours. Another look at the files
+takes a tenth of a second and more, too much for every picture; two thirds of the radius stay known to be empty."""
 
 
 class TerrainFiles:

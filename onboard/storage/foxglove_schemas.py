@@ -1,4 +1,4 @@
-"""What Foxglove can show of a session: where the vehicle and the camera are, the features on a map, the pictures.
+"""Messages that let Foxglove show a session: where the vehicle and the camera are, features on a map, pictures.
 
 Names and fields as in Foxglove's published schemas, encoded as JSON. For people to look at; nothing reads it back.
 """
@@ -53,7 +53,7 @@ def schema(name: str) -> str:
 
 
 def vehicle_location(fix: PositionFix) -> bytes:
-    """Where the navigation filter has the vehicle; `altitude` is above mean sea level."""
+    """The vehicle's location by the navigation filter; `altitude` is above mean sea level."""
     return _location(fix.stamp_ns, "vehicle", fix.lat_deg, fix.lon_deg, fix.height_amsl_m, np.zeros((3, 3)), False)
 
 

@@ -94,12 +94,12 @@ class RecordedFlight:
 
     @property
     def content(self) -> str:
-        """What is in it, in a line."""
+        """The content in one line: the number of messages of each kind."""
         return ", ".join(f"{count} {name}" for name, count in sorted(self.counts.items())) or "nothing"
 
     @property
     def caveats(self) -> list[str]:
-        """Why a replay may not give the same bytes; none if it does."""
+        """Reasons why a replay may not give the same bytes; none if it does."""
         found = [f"events are missing before {path.name}" for path in self.gaps]
         found += [f"{path.name} lacks {_in_words(gaps)}" for path, gaps in self.dropped.items()]
         found += [self._damage_of(path) for path in self.paths if path in self.damaged or path in self.lost]
@@ -153,11 +153,11 @@ class RecordedFlight:
 
     @property
     def has_second_counts(self) -> bool:
-        """Whether hot spots can be looked for in what was recorded of the second camera."""
+        """True if counts of the second camera were recorded, in which hot spots can be looked for."""
         return self.second_camera is not None and self.counts[_name(names.SECOND_CAMERA.counts, "{vehicle}")] > 0
 
     def second_pictures(self) -> Iterator[Frame]:
-        """What was recorded of the second camera's pictures, in their order; those that cannot be read are left out."""
+        """The second camera's recorded pictures in their order; those that cannot be read are left out."""
         if self.second_camera is None:
             return
         for path in self.paths:
@@ -314,7 +314,7 @@ def _messages(path: Path) -> Iterator[tuple[Channel, Message]]:
 
 
 def _records(path: Path) -> Iterator[Found]:
-    """What a file holds, as `walk` finds it. Raises InputError if it is none."""
+    """The content of a file, as `walk` finds it. Raises InputError if it is no MCAP file or cannot be read."""
     try:
         with path.open("rb") as stream:
             if stream.read(len(MAGIC)) != MAGIC:

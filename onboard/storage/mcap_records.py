@@ -1,4 +1,4 @@
-"""What the records of an MCAP file hold, one after the other, past a stretch that cannot be read.
+"""The content of an MCAP file's records, one after the other, past stretches that cannot be read.
 
 `contract.mcap_records` finds the records by opcode and length. Here they are read, those next to a damage with more
 checks: there a length may be what is wrong, so that the last record before it and the first after it count only if
@@ -167,7 +167,7 @@ class _Walk:
             self._channels = self._channels_of_summary() | self._channels
 
     def _is_expected(self, message: Message) -> bool:
-        """Whether it is the next of its channel; 0: other writers number nothing."""
+        """Return whether it is the next of its channel; 0 is accepted, because other writers number nothing."""
         return message.sequence in (0, self._next_sequence.get(message.channel_id, 0))
 
     def _is_readable(self, content: _Content) -> bool:

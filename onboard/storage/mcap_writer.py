@@ -96,7 +96,7 @@ class SessionRecorder:
 
     @property
     def has_message(self) -> bool:
-        """Whether the file holds, or held when it was closed, at least one whole message."""
+        """True if the file holds, or held when it was closed, at least one whole message."""
         return self._whole_bytes > 0
 
     @property

@@ -1,7 +1,7 @@
-"""What waits for the disk, and what it could not take: a bounded queue that never blocks its writers.
+"""Records that wait for the disk, and counts of those dropped: a bounded queue that never blocks its writers.
 
-A disk that stalls must cost records and nothing else. When the queue is full what comes is dropped at once and counted;
-the count stands in the queue where the records would have stood, and is written in their place.
+A disk that stalls must cost records and nothing else. When the queue is full, new records are dropped at once and
+counted; the count stands in the queue where the records would have stood, and is written in their place.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class Gap:
 
     @classmethod
     def from_json(cls, data: bytes) -> Gap:
-        """As it was recorded; of one that cannot be read only that it is."""
+        """The gap as it was recorded; without times and counts if its record cannot be read."""
         try:
             found = cls(**json.loads(data))
         except (ValueError, TypeError, RecursionError):

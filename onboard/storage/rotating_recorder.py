@@ -50,7 +50,7 @@ log = logging.getLogger("pointclick")
 
 
 def free_bytes(folder: Path) -> int:
-    """What an ordinary user may still write there. Raises OSError."""
+    """The number of bytes that an ordinary user may still write there. Raises OSError."""
     system = os.statvfs(folder)
     return system.f_bavail * system.f_frsize
 
@@ -108,7 +108,7 @@ class Recorded:
 
     @property
     def fault(self) -> str:
-        """Why nothing, or not everything, is recorded; empty while all is well."""
+        """The reason why nothing, or not everything, is recorded; empty while all is well."""
         state = self.thread.report().state
         if state in (ThreadState.LATE, ThreadState.RESTARTING, ThreadState.FAILED):
             what = "the disk takes nothing" if state is ThreadState.LATE else f"its thread is {state.value}"

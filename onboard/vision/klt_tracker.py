@@ -125,7 +125,7 @@ class Tracker:
         self._leave_out_all()
 
     def _leave_out_all(self) -> None:
-        """What is configured and what has been found."""
+        """Leave out the parts that are configured and those found to stand still."""
         burned_in = self._standing.mask if self._masked is None else self._standing.mask | self._masked
         self._burned_in = burned_in
         window = np.ones((WINDOW_PX, WINDOW_PX), np.uint8)
@@ -138,7 +138,7 @@ class Tracker:
 
     @property
     def has_keyframe(self) -> bool:
-        """Whether there is a picture to track against."""
+        """True if there is a picture to track against."""
         return self._picture is not None
 
     @property
@@ -188,7 +188,7 @@ class Tracker:
         return best
 
     def _normalised(self, image: Picture) -> Picture:
-        """With nothing where something is burned in: what stands still there would be taken for the ground's motion."""
+        """The normalised picture, plain grey where something is burned in: else it would be tracked as ground."""
         out = self._normalise(image)
         if self._burned_in is not None:
             out[self._burned_in] = 128
@@ -213,7 +213,7 @@ class Tracker:
         return out
 
     def _is_sure(self, tracks: Tracks, predicted: Array | None, carried_on: Array) -> bool:
-        """Whether telemetry predicts well enough to exclude, on ground that repeats itself, a track of a row away."""
+        """Return whether telemetry predicts well enough to exclude, on repetitive ground, a match of a row away."""
         if predicted is None or not len(tracks):
             return False
         predicted_px = move(predicted if self._predicted is None else carried_on, tracks.keyframe_uv_px)
@@ -224,11 +224,11 @@ class Tracker:
         return max(unsure_px, miss_px) < 0.5 * (self._repetition_px or np.inf)
 
     def _is_plenty(self, tracks: Tracks) -> bool:
-        """Whether nearly all features were found again that should be on the picture."""
+        """Return whether nearly all features were found again that should be on the picture."""
         return len(tracks) >= max(MIN_TRACKS, CALM_SHARE * self._expected(tracks.motion))
 
     def _expected(self, motion: Array) -> int:
-        """How many features should be on the picture; at least one."""
+        """The number of features that should be on the picture; at least one."""
         return max(int(np.count_nonzero(self._inside(move(motion, self._uv)))), 1)
 
     def _are_inconsistent(self, tracks: Tracks) -> bool:
@@ -398,7 +398,7 @@ class Tracker:
 
 
 def _spread_out(found: Array, taken: Array, wanted: int, size_px: tuple[int, int]) -> NDArray[np.intp]:
-    """Which of `found` (best first) to take so that every part of the picture gets its share: emptiest cell first."""
+    """Indices of those of `found` (best first) that cover the picture evenly: the emptiest cell comes first."""
     if len(found) <= wanted:
         return np.arange(len(found))
     cells = np.array([8, 6])
@@ -428,7 +428,7 @@ def _contrast(picture: Picture, uv: Array) -> Array:
 
 
 def _turn(H: Array, width_px: int, height_px: int) -> float:
-    """How far a homography's linear part at the picture's middle is from no turn and no scale."""
+    """The largest deviation of a homography's linear part, at the picture's middle, from the identity."""
     middle = np.array([width_px / 2.0, height_px / 2.0])
     steps = middle + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
     moved = move(H, steps)

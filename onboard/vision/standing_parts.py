@@ -1,4 +1,4 @@
-"""What stands still in the picture while the ground moves: a display burned in, the aircraft's own nose or guards.
+"""Parts of the picture that stand still while the ground moves: a display burned in, the aircraft's nose or guards.
 
 Two pictures between which the ground has moved are compared cell by cell. Let c(s) be the correlation of a cell with
 what is moved into it from before by s times the ground's motion. Ground is like c(1), and from there c(0) and c(2) are
@@ -60,7 +60,7 @@ class Texture:
         return np.asarray(cv2.blur(cells, (3, 3)), np.float32)
 
     def part(self, cells: tuple[int, int, int, int]) -> Texture:
-        """Of some of its cells (x, y, columns, rows), with what it knows of them already."""
+        """The texture of some of its cells (x, y, columns, rows), with their mean and variance."""
         x, y, columns, rows = cells
         out = object.__new__(Texture)
         out._grid = columns, rows
@@ -111,7 +111,7 @@ class StandingParts:
 
     @property
     def share(self) -> float:
-        """Of the picture (0 to 1) that has been found to stand still."""
+        """The share (0 to 1) of the picture that has been found to stand still."""
         return float(self._found.mean())
 
     @property
@@ -162,7 +162,7 @@ class StandingParts:
         return Texture(np.asarray(small, np.float32), self._grid)
 
     def _moved_px(self, H: Array) -> Grid:
-        """How far the ground moves by a motion of the working picture, at each of SAMPLED."""
+        """The distance, px, that the ground moves by a motion of the working picture, at each of SAMPLED."""
         columns, rows = SAMPLED
         moved = np.linalg.norm(move(H, self._sample) - self._sample, axis=1)
         out: Grid = moved.reshape(rows, columns).astype(np.float32)
@@ -180,7 +180,7 @@ class StandingParts:
         return shift if peak >= MIN_PEAK and np.hypot(u, v) >= MOVED_PX else None
 
     def _is_part(self, was: Texture, now: Texture, still: Grid) -> bool:
-        """Whether so much of the picture has changed that what has not is but a part of it."""
+        """Return whether so much of the picture has changed that the rest can be a standing part."""
         has_texture = np.minimum(was.variance, now.variance) > TEXTURED
         changed = np.count_nonzero(has_texture & ~self._is_called & (still < CHANGED))
         return bool(changed >= max(CHANGED_SHARE * np.count_nonzero(has_texture), LEAST_CELLS))
@@ -227,7 +227,7 @@ class StandingParts:
         return out
 
     def _judge(self) -> bool:
-        """What is called, with hysteresis; gaps in between are taken with it. Whether that is another than before."""
+        """Call cells by their evidence, with hysteresis, and the gaps between them; return whether the mask changed."""
         self._is_called = (self._evidence >= CALLED) | (self._is_called & (self._evidence > 0.5 * CALLED))
         found = _large_parts(self._is_called) if self._is_called.any() else self._is_called
         if np.count_nonzero(found) > MOST_SHARE * found.size:
@@ -247,9 +247,9 @@ def _middle(values: Grid) -> float:
 
 
 def _halved(image: Picture, least: tuple[int, int]) -> Picture:
-    """As often as that leaves whole pixels, and not fewer than twice `least` (columns, rows).
+    """Halve a picture while its sides are even and at least four times `least` (columns, rows).
 
-    Halving is what OpenCV does quickly: 640 pixels come to 160 in a sixth of the time, 1640 in a fifteenth.
+    OpenCV halves quickly: 640 pixels come to 160 in a sixth of the time, 1640 in a fifteenth.
     """
     rows, columns = image.shape
     while rows % 2 == columns % 2 == 0 and columns >= 4 * least[0] and rows >= 4 * least[1]:
@@ -259,7 +259,7 @@ def _halved(image: Picture, least: tuple[int, int]) -> Picture:
 
 
 def _large_parts(is_called: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Of cells those that hang together in parts of LEAST_CELLS, with the gaps between them."""
+    """The called cells that form connected parts of at least LEAST_CELLS, with the gaps between them."""
     cells = cv2.morphologyEx(is_called.astype(np.uint8), cv2.MORPH_CLOSE, GAPS)
     _, names, parts, _ = cv2.connectedComponentsWithStats(cells, connectivity=8)
     is_large = parts[:, cv2.CC_STAT_AREA] >= LEAST_CELLS

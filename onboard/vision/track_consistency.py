@@ -38,9 +38,10 @@ def dispersion_px(motion: Array, at: Array, to: Array) -> float:
 
 
 def are_inconsistent(motion: Array, at: Array, to: Array, share: float, width_px: int) -> bool:
-    """Whether tracks are too far off each other to be of the ground, `share` of the features having been found again.
+    """Return whether tracks disagree too much with each other to be of the ground.
 
-    Those that were lost were the worst: the fewer are left, the more their own dispersion understates.
+    `share`: of the features that were found again. The lost ones were the worst, so the fewer are left, the more their
+    dispersion understates the error.
     """
     limit_px = MAX_DISPERSION_PX * width_px / 640.0 * min(share, 1.0) ** 2
     miss = np.linalg.norm(to - move(motion, at), axis=1)
