@@ -96,12 +96,12 @@ def _run(argv: Sequence[str] | None) -> int:
 
 
 def _is_output_lost(error: OSError) -> bool:
-    """Whether an error is of writing to a full or broken standard output: files of ours have names in their errors."""
+    """Return whether an error is of writing to a full or broken standard output: files of ours have names in theirs."""
     return error.filename is None and error.errno in (errno.ENOSPC, errno.EIO, errno.EDQUOT, errno.EFBIG)
 
 
 def _drop_output() -> None:
-    """What is still to be written goes nowhere: Python must not complain when it flushes at the end."""
+    """Discard the output still to be written: Python must not complain when it flushes at the end."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, sys.stdout.fileno())
     os.close(nowhere)

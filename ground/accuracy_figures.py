@@ -23,7 +23,7 @@ STATED = 0.9
 
 @dataclass(frozen=True)
 class Figures:
-    """Of N marks, metres. Heights are None where none is known. `coverage` is the share inside the stated ellipse."""
+    """Accuracy over N marks, metres. Heights: None where none is known. `coverage`: the share inside the ellipse."""
 
     marks: int
     rmse_east_m: float
@@ -47,7 +47,7 @@ class Figures:
 
 
 def figures(error_en_m: Array, error_up_m: Array, inside: list[bool], survey_sigma_m: Array) -> Figures:
-    """Of answers minus truth (N, 2), heights (M,) where known, whether each ellipse held, the survey's sigmas (N,)."""
+    """Summarise answers minus truth: (N, 2), heights (M,) where known, inside the ellipse or not, survey sigma (N,)."""
     n = len(error_en_m)
     east, north = (float(v) for v in np.sqrt(np.mean(error_en_m**2, axis=0)))
     radial = np.linalg.norm(error_en_m, axis=1)
@@ -70,7 +70,7 @@ def figures(error_en_m: Array, error_up_m: Array, inside: list[bool], survey_sig
 
 
 def coverage_interval(held: int, of: int, confidence: float = 0.95) -> tuple[float, float]:
-    """Of a share that was `held / of`: the shares that do not make this count unlikely. Clopper and Pearson."""
+    """The interval of shares that do not make the count `held` of `of` unlikely. Clopper and Pearson."""
     half = 0.5 * (1.0 - confidence)
     low = 0.0 if held == 0 else _share(lambda p: 1.0 - _at_most(held - 1, of, p) >= half)
     high = 1.0 if held == of else _share(lambda p: _at_most(held, of, p) < half)
@@ -78,7 +78,7 @@ def coverage_interval(held: int, of: int, confidence: float = 0.95) -> tuple[flo
 
 
 def _share(is_reached: object) -> float:
-    """Where a condition that holds from some share on begins to."""
+    """Bisect for the share in 0 to 1 from which on a condition holds."""
     assert callable(is_reached)
     low, high = 0.0, 1.0
     for _ in range(50):

@@ -111,7 +111,7 @@ class AircraftClock:
         return self.is_asked or (self._held is not None and abs(self.behind_s(now)) <= AGREED_S)
 
     def behind_s(self, now: Moment) -> float:
-        """By how much the aircraft's clock is behind the ground's Unix clock, with what the fastest set took."""
+        """The lag of the aircraft's clock behind the ground's Unix clock, s, including what the fastest set took."""
         return (self._offset_at(now.monotonic_ns) - _agreed_ns(now)) / 1e9
 
     def age_s(self, capture_unix_ns: int, now: Moment) -> float:

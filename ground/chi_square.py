@@ -23,7 +23,7 @@ def exceeded_with(chi2: float, freedom: int) -> float:
 
 
 def limit(probability: float, freedom: int) -> float:
-    """What chi-square exceeds with this probability (above 1e-12)."""
+    """The value that chi-square exceeds with this probability (above 1e-12)."""
     low, high = 0.0, freedom + 20.0 * math.sqrt(2.0 * freedom) + 60.0
     while high - low > 1e-9 * high:
         middle = 0.5 * (low + high)

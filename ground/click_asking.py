@@ -22,7 +22,7 @@ class Asking:
         self._began_s = self._due_s = now_s
 
     def is_due(self, now_s: float) -> bool:
-        """Whether it is to be sent now, at first or again; counted as sent."""
+        """Return whether to send it now, at first or again, and count it as sent if so."""
         if now_s < self._due_s:
             return False
         waited_s = now_s - self._began_s
@@ -36,11 +36,10 @@ class Asking:
         return encode_question(replace(self.question, waited_s=now_s - self._began_s))
 
     def is_over(self, now_s: float) -> bool:
-        """Whether no answer is to be expected any more."""
         return now_s - self._began_s >= GIVE_UP_S
 
     def take(self, payload: bytes) -> Answer | None:
-        """What a packet answers to this question; None if it is about another, or cannot be read."""
+        """The answer in a packet to this question; None if it is about another, or cannot be read."""
         try:
             found = decode(payload)
         except WireError:

@@ -65,15 +65,13 @@ def inquire(
     is_sole: bool = False,
     dropped: DroppedMessages | None = None,
 ) -> dict[str, Reply]:
-    """What each vehicle at an endpoint answers: its set of a frame or a time, or its newest one, or a refusal.
+    """Ask each vehicle at an endpoint for its set of a frame or a time, or its newest one; a reply may be a refusal.
 
     A picture whose set is still being made is waited for, up to PICTURE_TIMEOUT_S.
-    With the age that the picture had at most when the reply came: what the aircraft states by its own clock when it is
-    asked, and the time that the question took from here and back.
-
-    `is_sole`: an answer of one aircraft is wanted. Where a router knows of several, none of them is asked for nothing.
+    Each reply has the age that the picture had at most when it came: what the aircraft states by its own clock when it
+    is asked, and the time that the question took from here and back.
+    `is_sole`: one aircraft's answer is wanted. Where a router knows of several, LinkError names them; none is asked.
     `dropped` counts answers that name another vehicle than the one under whose key they came.
-
     A client session: it opens in milliseconds where a peer waits half a second for others to show up. Raises LinkError
     if there is no vehicle or none answers, WireError for a set this version cannot read.
     """
@@ -117,7 +115,7 @@ def put_question(session: Any, selector: str, timeout_s: float = ANSWER_TIMEOUT_
 
 
 def several_aircraft(endpoint: str, there: Sequence[str]) -> LinkError:
-    """Why nothing is asked where one aircraft is meant and more are there."""
+    """The error that names several aircraft where one is meant."""
     return LinkError(f"several aircraft are at {endpoint}: {', '.join(there)}; choose one with --vehicle")
 
 
@@ -318,7 +316,7 @@ class SetCache:
 
     @property
     def link_error(self) -> str:
-        """Why the link cannot be opened again now, in a line; empty if no reason is known."""
+        """The reason why the link cannot be opened again now, in a line; empty if none is known."""
         session = self._session
         return self._renewal.trouble or (session.trouble if isinstance(session, MavlinkSets) else "")
 
@@ -507,7 +505,7 @@ def _answered(sample: zenoh.Sample) -> Reply:
 
 
 def _refusal(error: zenoh.ReplyError | None) -> Reply | None:
-    """What a queryable answered instead of a set; None if it is not one of ours."""
+    """Read the refusal that a queryable replied with; None if it is not one of ours."""
     about = _object(None if error is None else error.payload)
     try:
         status, vehicle = Status(about["status"]), str(about["vehicle"])

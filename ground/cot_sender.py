@@ -20,7 +20,7 @@ MAX_DATAGRAM = 65_000
 
 @dataclass(frozen=True)
 class Target:
-    """Where events go."""
+    """The destination of events."""
 
     scheme: str
     host: str
@@ -34,7 +34,7 @@ class Target:
     def of(
         cls, url: str, ca: Path | None = None, certificate: Path | None = None, key: Path | None = None, ttl: int = 1
     ) -> Target:
-        """From a URL. Raises InputError that shows what a valid one looks like."""
+        """Parse a URL. Raises InputError that shows what a valid one looks like."""
         wanted = "write udp://239.2.3.1:6969, tcp://HOST:8087 or tls://HOST:8089"
         try:
             parts = urlsplit(url)

@@ -1,4 +1,4 @@
-"""How old a picture is, and whether the newest one that can be clicked is what is seen now. No I/O.
+"""The age of a picture, and whether the newest one that can be clicked is what is seen now. No I/O.
 
 An aircraft's clock may be hours off the ground's: ages come from the aircraft's answers, or from its clock as far as
 that can be relied on (`ground.aircraft_clock`), and the ground adds what it measured itself.
@@ -42,7 +42,7 @@ class Reply:
 
     @property
     def why(self) -> str:
-        """Why the newest picture cannot be clicked, as far as it is known."""
+        """The reasons, as far as known, why the newest picture cannot be clicked."""
         causes = []
         if self.later is not None:
             age = "" if self.later.age_s is None else f", {self.later.age_s:.1f} s old,"

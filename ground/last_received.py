@@ -12,7 +12,7 @@ MOST_VEHICLES = 1000
 
 
 class LastReceived(Generic[T]):
-    """At most `most` vehicles: a new one takes the place of the one from which nothing came for the longest time.
+    """Values of at most `most` vehicles: a new one replaces the one that has sent nothing for the longest time.
 
     So invented names are in the way of no aircraft that goes on sending.
     """

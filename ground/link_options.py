@@ -36,7 +36,7 @@ def tls_of(args: argparse.Namespace) -> Tls | None:
 
 
 def endpoint_of(args: argparse.Namespace, tls: Tls | None) -> str:
-    """What is to be connected to: `--connect`, or the default, encrypted if there are certificates."""
+    """The endpoint to connect to: `--connect`, or the default, encrypted if there are certificates."""
     if args.connect:
         return str(args.connect)
     return DEFAULT_ENDPOINT if tls is None else DEFAULT_ENDPOINT.replace("tcp/", "tls/", 1)

@@ -1,4 +1,4 @@
-"""What crosses the link, as MCAP files: one for each session of each vehicle, readable by `Recording`.
+"""Recordings of what crosses the link: an MCAP file for each session of each vehicle, readable by `Recording`.
 
 Without chunks, and each message is passed to the system at once: a killed process loses nothing. A file's name is made
 of the vehicle's and the session's, cleaned: a publisher may use any name.
@@ -109,7 +109,7 @@ class LinkRecorder:
         return path
 
     def sync(self) -> None:
-        """From time to time: put what was written on the disk. Raises InputError if writing failed."""
+        """Put on the disk what was written, once in SYNC_PERIOD_S at most. Raises InputError if writing failed."""
         with self._lock:
             if self._failure is not None:
                 raise self._failure

@@ -21,7 +21,7 @@ GROUND_STATIONS = "255-255"  # as autopilots have it, unless they are set otherw
 
 @dataclass(frozen=True)
 class MavlinkEndpoint:
-    """Where messages come in and go out, who we are, and who is asked; `vehicle` None: the only autopilot received."""
+    """The connection, our address on it, and the vehicle that is asked; `vehicle` None: the only autopilot received."""
 
     kind: str  # udpin, udpout, tcp, serial
     host: str  # or a device
@@ -55,7 +55,7 @@ class MavlinkEndpoint:
 
 
 def masking(system: int, low: int, high: int) -> str:
-    """Why such a system number is refused, and what to do."""
+    """Explain why such a system number is refused, and what to do."""
     return (
         f"MAVLink system {system} is one of the autopilot's ground stations (MAV_GCS_SYSID {low} to {high}): while we "
         "send under it, the autopilot would not notice that its ground station is lost; choose another with "

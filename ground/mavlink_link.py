@@ -98,7 +98,7 @@ class MavlinkLink:
         raise LinkError(self._unanswered(vehicle, began_s))
 
     def _unanswered(self, vehicle: int, began_s: float) -> str:
-        """Why no answer may have come to a question that was asked from `began_s` on."""
+        """Explain why no answer may have come to a question that was asked from `began_s` on."""
         if words := self.traffic.own_words(vehicle, began_s):
             return f"vehicle {vehicle} has received the click, and no answer arrived: {words}"
         traffic = self.traffic.autopilots_words(vehicle, time.monotonic())
@@ -179,7 +179,7 @@ class MavlinkLink:
         self._write(d.MAVLink_heartbeat_message(kind, autopilot, 0, 0, state, 3))
 
     def send(self, vehicle: int, payload: bytes) -> None:
-        """To a vehicle's companion computer, never to all."""
+        """Send to a vehicle's companion computer, never to all."""
         padded = list(payload.ljust(TUNNEL_BYTES, b"\0"))
         to = vehicle, self._endpoint.companion
         self._write(self._dialect.MAVLink_tunnel_message(*to, TUNNEL_TYPE, len(payload), padded))

@@ -73,7 +73,7 @@ class MavlinkSets:
 
     @property
     def trouble(self) -> str:
-        """What keeps sets from coming, in a line; empty if nothing is known to."""
+        """The cause that keeps sets from coming, in a line; empty if none is known."""
         link = self._link
         return self.refusal or self._thread.trouble or ("" if link is None else link.traffic.trouble(time.monotonic()))
 
@@ -110,7 +110,7 @@ class MavlinkSets:
             raise
 
     def _listen(self, link: MavlinkLink) -> None:
-        """What came within a moment, and a report to every vehicle from time to time. Raises LinkError."""
+        """Take the packets of a moment, report to every vehicle from time to time, send questions. Raises LinkError."""
         for vehicle, payload in link.received():
             if self._endpoint.vehicle not in (None, vehicle):
                 continue

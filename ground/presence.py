@@ -1,4 +1,4 @@
-"""Which aircraft are there: by their liveliness tokens, of which a router knows without asking any aircraft."""
+"""Presence of aircraft: their liveliness tokens, which a router knows without asking any aircraft."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ def vehicles_there(session: Any) -> list[str]:
 
 
 def is_through_router(session: Any) -> bool:
-    """Whether a session is connected to a router, and so perhaps to many aircraft."""
+    """Return whether a session is connected to a router, and so perhaps to many aircraft."""
     return bool(session.info.routers_zid())
 
 
 class Presence:
-    """Who is there, over a session: tokens as they come and go, and the statuses that are sent anyway. Thread-safe."""
+    """The aircraft at a session: tokens as they come and go, and the statuses that are sent anyway. Thread-safe."""
 
     def __init__(self, session: Any) -> None:
         self._lock = threading.Lock()

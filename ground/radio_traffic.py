@@ -1,4 +1,4 @@
-"""What comes through an autopilot's radio, its own and ours: a full radio differs in it from a silent aircraft."""
+"""The traffic through an autopilot's radio, its own and ours: by it a full radio differs from a silent aircraft."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class RadioTraffic:
         return "" if state is None or state[1] < since_s else state[0].words
 
     def autopilots_words(self, system: int, now_s: float) -> str:
-        """What the autopilot's messages take of the radio, and what follows if that is all that it carries."""
+        """The bit rate of the autopilot's messages in words, and what follows if the radio carries no more."""
         held = self._systems.get(system)
         if held is None:
             return ""
@@ -62,7 +62,7 @@ class RadioTraffic:
         )
 
     def trouble(self, now_s: float) -> str:
-        """What keeps sets from coming, of each system by its number if there are several; empty if nothing is known."""
+        """The cause that keeps sets from coming, by system number if there are several; empty if none is known."""
         found = {system: self._trouble(system, now_s) for system in sorted(self._systems)}
         if len(found) == 1:
             return next(iter(found.values()))

@@ -15,7 +15,7 @@ SILENT_S = 5.0  # after which a track is no longer there: it is reported twice a
 
 
 def reports_in(key: str, payload: bytes) -> list[TrackReport]:
-    """Of a message of the link; none of what is no message of tracks."""
+    """The track reports in a message of the link; none if it is no message of tracks."""
     try:
         return read_tracks(key, payload)
     except (ValueError, WireError):
@@ -41,7 +41,7 @@ class ReceivedTracks:
                     self._received[report.vehicle, report.number] = report, now_s
 
     def newest(self) -> list[TrackReport]:
-        """Of the tracks of which a report came in the last seconds, by vehicle and number."""
+        """The newest report of each track that sent one in the last SILENT_S, by vehicle and number."""
         now_s = self._monotonic_s()
         with self._lock:
             held = sorted(self._received.items(), key=lambda item: item[0])

@@ -75,7 +75,7 @@ class RecordedLinkPictures:
 
 
 def _is_enough(whole: Whole, places: dict[int, _Place]) -> bool:
-    """Whether at most one piece of each group is missing, and then its parity is there."""
+    """Return whether each group lacks at most one piece, and has its parity if it lacks one."""
     if not whole.groups:
         return len(places) == whole.pieces
     for group in range(whole.groups):

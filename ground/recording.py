@@ -36,7 +36,7 @@ _FRAMES_BEFORE, _FRAMES_AFTER = names.FRAMES.split("{vehicle}")
 
 @dataclass(frozen=True)
 class _Held:
-    """Where the latest revision of one frame's set is in the files."""
+    """The position in the files of the latest revision of one frame's set."""
 
     frame: int
     revision: int
@@ -111,7 +111,7 @@ class Recording:
         return self._decoded(self._index.sets[vehicle].get(frame))
 
     def age_s(self, feature_set: FeatureSet) -> float:
-        """How much older a set's picture is than the newest one of its vehicle."""
+        """Seconds by which a set's picture is older than the newest one of its vehicle."""
         return (self._newest_ns[feature_set.vehicle] - feature_set.capture_unix_ns) / 1e9
 
     def newest_picture(self, vehicle: str) -> FeatureSet | None:
@@ -133,7 +133,7 @@ class Recording:
         return self._decoded(held)
 
     def tracks(self, vehicle: str) -> list[TrackReport]:
-        """What was reported of things that were followed in flight, in that order; what cannot be read is left out."""
+        """The reports of things followed in flight, in recorded order; what cannot be read is left out."""
         out: list[TrackReport] = []
         for file, start, length in self._index.tracks.get(vehicle, []):
             with contextlib.suppress(WireError):
@@ -225,7 +225,7 @@ def _read(path: Path, may_be_empty: bool) -> Data:
 
 
 def _is_chunked(data: Data) -> bool:
-    """Whether chunks come before any message."""
+    """Return whether chunks come before any message."""
     for opcode, _, _ in records(data, lambda _: None):
         if opcode in (CHUNK, MESSAGE):
             return opcode == CHUNK

@@ -95,7 +95,7 @@ class TrackLink:
         raise LinkError(f"no aircraft answers at {endpoint}")
 
     def _receive(self, sample: zenoh.Sample) -> None:
-        """In zenoh's thread."""
+        """Queue a message's reports, called in zenoh's thread; the oldest go where the queue is full."""
         try:
             reports = read_tracks(str(sample.key_expr), sample.payload.to_bytes())
         except (WireError, ValueError):

@@ -51,7 +51,7 @@ class TrackPaths:
             return self._version, list(self._news)[len(self._news) - count :] if count <= len(self._news) else None
 
     def paths(self, most: int = MOST_OF_ONE) -> list[Path]:
-        """By vehicle, session and number; of longer ones every nth report and the newest."""
+        """The paths by vehicle, session and number; of longer ones every nth report and the newest."""
         with self._lock:
             held = sorted(self._paths.items(), key=lambda item: item[0])
             return [tuple(path[::-1][:: max(1, -(-len(path) // most))][::-1]) for _, path in held]

@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 
 class SetErrors(Protocol):
-    """What two sets are compared by: a FeatureSet, or what is kept of one with a click."""
+    """The fields by which two sets are compared: of a FeatureSet, or of what is kept of one with a click."""
 
     @property
     def session(self) -> int: ...
@@ -87,7 +87,7 @@ def common_cross_covariance(one: SetErrors, two: SetErrors) -> Array:
 
 
 def overlap(one: SetErrors, two: SetErrors) -> float:
-    """How far the windows of two sets of a session are the same pictures, 0 to 1: o of (9.15)."""
+    """The share, 0 to 1, of pictures common to the windows of two sets of a session: o of (9.15)."""
     a, b = _span(one), _span(two)
     return max(min(a[1], b[1]) - max(a[0], b[0]), 0.0) / math.sqrt((a[1] - a[0]) * (b[1] - b[0]))
 
@@ -106,7 +106,7 @@ def _span(s: SetErrors) -> Span:
 
 
 def _transport(one: SetErrors, two: SetErrors) -> Array:
-    """What the first set's common states are, seen from the second's camera. (9.14)"""
+    """The matrix that maps the first set's common states to the second's camera. (9.14)"""
     d = LocalFrame(one.camera_lat_deg, one.camera_lon_deg, one.camera_height_m).to_enu(
         two.camera_lat_deg, two.camera_lon_deg, two.camera_height_m
     )

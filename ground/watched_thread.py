@@ -29,7 +29,7 @@ class WatchedThread(SupervisedThread):
 
     @property
     def trouble(self) -> str:
-        """What is wrong with it, in a line; empty if nothing is."""
+        """The fault of the thread, in a line; empty if there is none."""
         report = self.report()
         if report.state is ThreadState.LATE:
             return f"{self.name} has been at one attempt for {self.heartbeat_age_s:.0f} s"

@@ -104,9 +104,9 @@ def run(args: argparse.Namespace) -> int:
 
 @contextmanager
 def _clickers(args: argparse.Namespace) -> Iterator[tuple[AnyClicker, AnyClicker]]:
-    """For clicks on the picture that the options mean, and for those that name their own. Raises PointclickError.
+    """Yield one clicker for the picture that the options mean and one for clicks that name their own.
 
-    --max-age is about the newest picture.
+    --max-age is about the newest picture. Raises PointclickError.
     """
     is_newest = args.frame is None and args.file is None and args.time is None
     usual_s = MAX_AGE_S if is_newest and not args.recording else math.inf

@@ -149,7 +149,7 @@ class _aircraft:  # noqa: N801  called like a function
         return [*self._cache.dropped.lines(), *doubts]
 
     def found(self) -> list[FoundThing]:
-        """What more than one picture shows as a hot spot."""
+        """The things that more than one picture shows as a hot spot."""
         return [thing for thing in self._spots.things() if thing.is_sure]
 
     def __call__(self) -> list[FeatureSet]:

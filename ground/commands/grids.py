@@ -19,7 +19,9 @@ def add_grid_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def grid_of(args: argparse.Namespace) -> Grid | None:
-    """What was chosen, if anything. Raises InputError for a system that is not known."""
+    """The coordinate system that was chosen, if any; warns of one less accurate than the best. Raises InputError for an
+    unknown one.
+    """
     if args.local is not None:
         return LocalGrid(*args.local)
     if args.crs is None:

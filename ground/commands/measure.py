@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
 def measured(
     first: Locator, one: Fix, uv1_px: tuple[float, float], second: Locator, two: Fix, uv2_px: tuple[float, float]
 ) -> Vector:
-    """From one answered click to another; what their errors share cancels."""
+    """The vector from one answered click to another; what their errors share cancels."""
     if first is second:
         covariance = first.difference_covariance(uv1_px, uv2_px)
     else:

@@ -210,7 +210,7 @@ def _clicked(args: argparse.Namespace) -> PinClick | Refusal:
 
 
 def _answered(args: argparse.Namespace) -> tuple[Answer, Locator | None]:
-    """What the pixel shows, in the picture named or the newest, and what gave the answer."""
+    """Click the pixel in the picture named or the newest; the answer, and the locator that gave it."""
     source = source_of(args)
     clicker = Clicker(source, MAX_AGE_S if args.frame is None and not source.is_recorded else math.inf)
     return clicker.click(args.u, args.v, frame=args.frame)

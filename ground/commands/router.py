@@ -97,6 +97,6 @@ class ListOfFile:
 
 
 def in_a_line(fleet: Fleet) -> str:
-    """How many there are of each kind."""
+    """The number of participants of each kind, in a line."""
     words = {"pins": "share pins"}
     return ", ".join(f"{len(getattr(fleet, role))} {words.get(role, role)}" for role in ROLES)

@@ -124,7 +124,7 @@ def _recorded(args: argparse.Namespace) -> Iterator[FeatureSet]:
 
 
 def _live(args: argparse.Namespace) -> Iterator[FeatureSet]:
-    """What comes over the link, until a signal or the time ends it."""
+    """Yield the sets that come over the link, until a signal or the time ends it."""
     from ground.client import SetCache  # noqa: PLC0415  zenoh is loaded only where there is a link
 
     tls = tls_of(args)

@@ -1,4 +1,4 @@
-"""Where a command's pictures come from: a live aircraft or a recording, asked in the same way."""
+"""Sources of a command's pictures: a live aircraft or a recording, asked in the same way."""
 
 from __future__ import annotations
 
@@ -133,7 +133,7 @@ Source = RecordedSource | LinkSource
 
 
 def source_of(args: argparse.Namespace) -> Source:
-    """What `--from` or `--connect` means. Raises PointclickError."""
+    """The source that `--from` or `--connect` names. Raises PointclickError."""
     return RecordedSource(args.recording, args.vehicle) if args.recording else LinkSource(args)
 
 
@@ -185,7 +185,7 @@ class AskedClicker:
         file: str | None = None,
         unix_s: float | None = None,
     ) -> tuple[Answer, None]:
-        """As `Clicker.click`, without what gave it."""
+        """Ask the aircraft for the answer to a click, as `Clicker.click`, but without the locator that gave it."""
         if file is not None:
             raise UsageError(NO_NAMES)
         began_s = time.monotonic()

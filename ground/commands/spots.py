@@ -110,7 +110,7 @@ def _report_fire(ground: FireGround, args: argparse.Namespace) -> Fire | None:
 
 
 def _reports(args: argparse.Namespace) -> Iterator[list[SpotReport]]:
-    """What has come over the link since the last time, every FIRE_S, until a signal or the time ends it."""
+    """Yield every FIRE_S the reports that came over the link since the last time, until a signal or the time ends."""
     from ground.client import SetCache  # noqa: PLC0415  zenoh is loaded only where there is a link
 
     tls, vehicle, came = tls_of(args), args.vehicle or ANY_VEHICLE, list[SpotReport]()
@@ -128,7 +128,7 @@ def _reports(args: argparse.Namespace) -> Iterator[list[SpotReport]]:
 
 
 def _in_recording(args: argparse.Namespace) -> list[SpotReport]:
-    """Of one vehicle, or of all."""
+    """The reports of one vehicle in a recording, or of all."""
     if args.seconds is not None:
         raise UsageError("--seconds is for a live aircraft")
     recording = opened(args.recording)
@@ -138,7 +138,7 @@ def _in_recording(args: argparse.Namespace) -> list[SpotReport]:
 
 
 def _recorded(args: argparse.Namespace) -> ReceivedSpots:
-    """What was found in a recorded flight, printed as it was known at the end."""
+    """Print the spots found in a recorded flight, as they were known at the end."""
     received = ReceivedSpots()
     received.add(_in_recording(args))
     for thing in received.things():
@@ -148,7 +148,7 @@ def _recorded(args: argparse.Namespace) -> ReceivedSpots:
 
 
 def _live(args: argparse.Namespace) -> ReceivedSpots:
-    """What comes over the link, until a signal or the time ends it."""
+    """Print the spots that come over the link, until a signal or the time ends it."""
     from ground.client import SetCache  # noqa: PLC0415  zenoh is loaded only where there is a link
 
     tls, vehicle, received = tls_of(args), args.vehicle or ANY_VEHICLE, ReceivedSpots()
@@ -168,7 +168,7 @@ def _live(args: argparse.Namespace) -> ReceivedSpots:
 
 
 def is_news(thing: FoundThing, before: FoundThing | None) -> bool:
-    """Whether a thing differs from what was reported of it by more than a person would overlook."""
+    """Return whether a thing differs from its last report by more than a person would overlook."""
     if before is None or (before.course is None) != (thing.course is None):
         return True
     if thing.course is not None and before.course is not None and thing.course.is_moving != before.course.is_moving:

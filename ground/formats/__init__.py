@@ -1,4 +1,4 @@
-"""How answers and pins are written for others, and pins read back. Texts are kept as they are; each format escapes.
+"""Formats in which answers and pins are written for others, and pins read back. Each escapes; texts stay as they are.
 
 What other packages take from here:
 

@@ -93,7 +93,7 @@ def _mgrs(zone: str, square: str, digits: str, more: str | None) -> Coordinate:
 
 
 def _utm(number: str, gap: str, band: str, east: str, north: str) -> Coordinate:
-    """With its band as `utm_text` writes it, or with N or S for the hemisphere where no band can be meant."""
+    """Read UTM with its band as `utm_text` writes it, or with N or S for the hemisphere where no band can be meant."""
     zone, x, y = int(number), float(east.replace(",", ".")), float(north.replace(",", "."))
     if not (1 <= zone <= 60 and band in _BANDS and 1e5 <= x < 9e5 and y <= 1e7):
         raise InputError("UTM is zone and band, easting, northing in metres: 59G 412345 5197654")
@@ -111,7 +111,7 @@ def _utm(number: str, gap: str, band: str, east: str, north: str) -> Coordinate:
 
 
 def _lies_in(lat_deg: float, band: str) -> bool:
-    """Whether a latitude lies in an MGRS band of 8 degrees (X: 12), or up to 10 m outside of it."""
+    """Return whether a latitude lies in an MGRS band of 8 degrees (X: 12), or up to 10 m outside of it."""
     south = -80.0 + 8.0 * _BANDS.index(band)
     return south - 1e-4 <= lat_deg <= (84.0 if band == "X" else south + 8.0) + 1e-4
 
@@ -151,7 +151,7 @@ def _degrees(text: str) -> Coordinate:
 
 
 def _without_commas(text: str) -> str:
-    """With points for decimal commas and blanks for commas and semicolons that separate. Refuses what may be either."""
+    """Put points for decimal commas and blanks for commas and semicolons that separate. Refuses what may be either."""
     if re.search(r"\d\.\d", text):
         return re.sub("[,;]", " ", text)
     rest = re.sub(r"(?<!\d),|,(?!\d)|;", " ", text).strip()

@@ -49,7 +49,7 @@ def _padded(value: float, decimals: int) -> str:
 
 
 def mgrs_text(lat_deg: float, lon_deg: float) -> str:
-    """Of the square metre that the point is in, as USNG writes it too (WGS84): 59GMM0123456789; polar squares too."""
+    """The MGRS square metre that the point is in, as USNG writes it too (WGS84): 59GMM0123456789; polar squares too."""
     mgrs = library("mgrs")
     try:
         # Its own rounding takes 60 minutes for what it is given as degrees; a longitude of 180 is one of -180.
@@ -100,13 +100,13 @@ class Projected:
 
 
 class Grid(ABC):
-    """What turns a mark into numbers of another system."""
+    """A coordinate system into which marks are converted."""
 
     name: str
 
     @abstractmethod
     def of(self, mark: Mark) -> Projected:
-        """Of a mark with a position."""
+        """Convert a mark that has a position."""
 
 
 class LocalGrid(Grid):
@@ -119,7 +119,7 @@ class LocalGrid(Grid):
         self._at = lat_deg, lon_deg
 
     def of(self, mark: Mark) -> Projected:
-        """At the height of the mark, so that a metre is a metre there."""
+        """Convert at the height of the mark, so that a metre is a metre there."""
         lat, lon = mark.position
         height = mark.height_ellipsoid_m if mark.height_ellipsoid_m is not None else mark.height_amsl_m or 0.0
         east, north, _ = (float(c) for c in LocalFrame(*self._at, height).to_enu(lat, lon, height))
@@ -169,7 +169,7 @@ class Projection(Grid):
         return Projected(self.name, x, y, self._x_name, self._y_name, self._is_degrees, self.accuracy_m)
 
     def _reaches(self, lat_deg: float, lon_deg: float) -> bool:
-        """Whether the system was made for this place, or one within a few degrees of there."""
+        """Return whether the system was made for this place, or for one within 3 degrees of it."""
         if self._area is None:
             return True
         west, south, east, north = self._area.bounds
@@ -208,5 +208,5 @@ def shape_values(mark: Mark, grid: Grid | None) -> dict[str, object]:
 
 
 def figure(metres: float | None) -> str | None:
-    """To the millimetre; None stays."""
+    """The length to the millimetre; None stays."""
     return None if metres is None else f"{metres:.3f}"

@@ -61,7 +61,7 @@ def event(mark: Mark, now_unix_ns: int, stale_s: float) -> str | None:
 
 
 def aircraft_event(s: FeatureSet, now_unix_ns: int, stale_s: float) -> str | None:
-    """Of an aircraft where its picture was taken; None for a set without a position."""
+    """The event of an aircraft where its picture was taken; None for a set without a position."""
     if not s.is_ok:
         return None
     root = _event(f"pointclick.{s.vehicle}", AIRCRAFT, "m-g", now_unix_ns, s.capture_unix_ns, stale_s)
@@ -81,7 +81,7 @@ def aircraft_event(s: FeatureSet, now_unix_ns: int, stale_s: float) -> str | Non
 
 
 def track_event(report: TrackReport, now_unix_ns: int, stale_s: float) -> str | None:
-    """Of a thing that is followed, with its speed and course; None without a place, or once it is lost."""
+    """The event of a followed thing, with its speed and course; None without a place, or once it is lost."""
     p, c = report.place, report.course
     if p is None or report.state is TrackState.LOST:
         return None

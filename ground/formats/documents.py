@@ -34,7 +34,7 @@ class Format:
 
 
 def text_line(mark: Mark, grid: Grid | None = None) -> str:
-    """For people."""
+    """The mark in a line for people."""
     if mark.answer is not None and mark.is_placed:
         rest = mark.answer.to_text()
         return rest if grid is None else f"{_in(grid, mark)} {rest.partition('  ')[2]}"

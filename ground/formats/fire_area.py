@@ -19,7 +19,7 @@ _STYLES = {"perhaps": ("ff00a5ff", "2000a5ff"), "burned": ("ff0000ff", "500000ff
 
 
 def write(fire: Fire, name: str) -> str:
-    """As a file's name ends. Raises KeyError."""
+    """Write the format that the file's name ends with. Raises KeyError for any other ending."""
     return json.dumps(features(fire)) + "\n" if FORMATS[PurePath(name).suffix.lower()] == "geojson" else _kml(fire)
 
 

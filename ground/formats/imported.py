@@ -1,4 +1,4 @@
-"""What a file of places holds, as pins with entered positions."""
+"""The content of a file of places, as pins with entered positions."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def entered_pin(
 
 
 def unix_ns_of(text: str) -> int | None:
-    """Of an ISO 8601 moment with its offset from UTC; None for any other text, or a moment before 1970."""
+    """Unix time of an ISO 8601 moment, UTC where it has no offset; None for any other text, or a moment before 1970."""
     try:
         moment = datetime.fromisoformat(text.strip().replace("Z", "+00:00"))
     except ValueError:

@@ -75,7 +75,7 @@ class Mark:
 
     @property
     def accuracy_text(self) -> str:
-        """In one line, in the words of every format: the figures are 90 %."""
+        """Position and height accuracy in one line, in the words of every format: the figures are 90 %."""
         if not self.is_placed:
             return f"no position: {self.status}: {self.reason}"
         parts = ["accuracy not known" if self.ce90_m is None else f"+-{self.ce90_m:.1f} m (CE90)"]
@@ -94,7 +94,7 @@ class Mark:
 
     @classmethod
     def of_answer(cls, answer: Answer, uv_px: tuple[float, float] | None = None, number: int | None = None) -> Mark:
-        """Of a click. Its id is what the click was: vehicle, frame and pixel."""
+        """Make the mark of a click. Its id is what the click was: vehicle, frame and pixel."""
         u, v = (None, None) if uv_px is None else uv_px
         frame = "newest" if answer.frame is None else str(answer.frame)
         name = f"click {u:g} {v:g}" if u is not None else "click"
@@ -114,7 +114,7 @@ class Mark:
 
     @classmethod
     def of_found(cls, thing: FoundThing) -> Mark:
-        """Of a thing that hot spots are of, which no person has confirmed."""
+        """Make the mark of a thing found as hot spots, which no person has confirmed."""
         p, best = thing.place, thing.best
         return cls(
             f"spot-{thing.spots[0].vehicle}-{thing.spots[0].session}-{thing.spots[0].frame}-{thing.number}",
@@ -128,7 +128,7 @@ class Mark:
 
     @classmethod
     def of_pin(cls, pin: Pin, place: Fused) -> Mark:
-        """Of a pin and where it is by now (`Places.place`)."""
+        """Make the mark of a pin at its present place (`Places.place`)."""
         newest = max(pin.clicks, key=lambda c: c.capture_unix_ns or c.clicked_unix_ns, default=None)
         vehicles = sorted({click.vehicle for click in pin.clicks if click.vehicle})
         words = {

@@ -114,7 +114,7 @@ def _decoded(data: bytes) -> str:
 
 
 def _delimiter(text: str) -> str:
-    """Of comma, semicolon and tab the one that parts most names in the first line."""
+    """The one of comma, semicolon and tab that parts most names in the first line."""
     first = text.lstrip("\r\n").partition("\n")[0]
     return max(",;\t", key=first.count)
 

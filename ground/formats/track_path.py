@@ -17,7 +17,10 @@ FORMATS = {".geojson": "geojson", ".json": "geojson", ".kml": "kml"}
 
 
 def write(reports: Sequence[TrackReport], name: str) -> str:
-    """As a file's name ends. Reports without a place are left out: a refusal is no point. Raises KeyError."""
+    """Write the format that the file's name ends with. Raises KeyError for any other ending.
+
+    Reports without a place are left out: a refusal is no point.
+    """
     kind = FORMATS[PurePath(name).suffix.lower()]
     placed = [(report, report.place) for report in reports if report.place is not None]
     return _geojson(placed) if kind == "geojson" else _kml(placed)

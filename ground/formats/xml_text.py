@@ -30,7 +30,7 @@ def element(parent: ET.Element | None, tag: str, text: str | None = None, **attr
 
 
 def document(root: ET.Element) -> str:
-    """With its declaration, indented, one line feed at the end."""
+    """The document with its declaration, indented, one line feed at the end."""
     ET.indent(root)
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
 

@@ -33,7 +33,7 @@ CREATE INDEX IF NOT EXISTS changed_by_seq ON changed (seq);
 
 
 def default_path() -> Path:
-    """Where pins are kept unless a file is named."""
+    """The file that keeps the pins unless another is named."""
     base = os.environ.get("XDG_DATA_HOME", "")
     return (Path(base) if base else Path.home() / ".local" / "share") / "pointclick" / "pins.sqlite"
 
@@ -92,7 +92,7 @@ class PinFile(PinTables):
 
     @property
     def is_in_transaction(self) -> bool:
-        """Whether what is read now may still be rolled back."""
+        """True while what is read may still be rolled back."""
         return self._db is not None and self._db.in_transaction
 
     def rows(self, statement: str, *values: object) -> list[tuple[Any, ...]]:

@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """Where a pin is. Heights are None where no click has one; every accuracy where no click has one.
+    """The position of a pin. Heights are None where no click has one; every accuracy where no click has one.
 
     `clicks`: how many the position rests on. `chi2` of `freedom` degrees: how well they agree; 0 of 0 for one click.
     `tied`: how many ties took part.
@@ -40,7 +40,7 @@ class Place:
 
     @property
     def ellipse(self) -> Ellipse | None:
-        """At 90 %."""
+        """The 90 % ellipse."""
         return None if self.covariance_enu_m2 is None else Ellipse.from_covariance(self.covariance_enu_m2[:2, :2])
 
     @property
@@ -90,7 +90,7 @@ class Unplaced:
 
 @dataclass(frozen=True, eq=False)
 class Vector:
-    """From one place to another: what a user needs of two places. Each with one sigma; None where not known."""
+    """Distance, bearing and height difference from one place to another. Each with one sigma; None where not known."""
 
     distance_m: float
     bearing_deg: float  # clockwise from north, in [0, 360)
@@ -160,7 +160,7 @@ def fuse_groups(groups: Sequence[Sequence[PinClick]], ties: Sequence[Tie] = ()) 
 def vector(
     clicks_a: Sequence[PinClick], clicks_b: Sequence[PinClick], ties: Sequence[Tie] = ()
 ) -> Vector | Contradiction | Unplaced:
-    """From a to b. What their errors share cancels."""
+    """The vector from a to b. What their errors share cancels."""
     (a, b), joint = fuse_groups([clicks_a, clicks_b], ties)
     for found in (a, b):
         if not isinstance(found, Place):

@@ -1,4 +1,4 @@
-"""What a program found and a person decides on: confirmed it is a pin, dismissed it is a pin that was deleted.
+"""Decisions of people on what a program found: confirmed it is a pin, dismissed it is a pin that was deleted.
 
 So decisions are undone, kept and shared with other servers as pins are. A thing is known again by its spots: pictures
 and pixels, which are the same for all who receive from an aircraft; never by its place, where somebody else may stand.
@@ -33,7 +33,7 @@ def click_of(thing: FoundThing, who: str) -> PinClick:
 
 
 def decisions(pins: Iterable[Pin]) -> dict[Key, Pin]:
-    """By the spot that was decided on; deleted pins too: these were dismissed."""
+    """The decided pins by the spot that was decided on; deleted pins too: these were dismissed."""
     return {
         (click.vehicle, click.session, click.frame, click.u_px, click.v_px): pin
         for pin in pins
@@ -43,7 +43,7 @@ def decisions(pins: Iterable[Pin]) -> dict[Key, Pin]:
 
 
 def decision(thing: FoundThing, made: Mapping[Key, Pin]) -> Pin | None:
-    """What was decided of a thing; None before that. One that was confirmed counts before one that was dismissed."""
+    """The pin that a decision on a thing made; None before that. A confirmed one counts before a dismissed one."""
     found = [pin for spot in thing.spots if (pin := made.get(_key(spot))) is not None]
     return min(found, key=lambda pin: pin.is_deleted, default=None)
 

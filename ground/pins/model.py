@@ -36,7 +36,7 @@ MAX_NAME, MAX_NOTE, MAX_WHO = 200, 10_000, 100
 
 
 class Category(Enum):
-    """What a pin marks."""
+    """The kind of thing that a pin marks."""
 
     PERSON = "person"
     VEHICLE = "vehicle"
@@ -64,7 +64,7 @@ class ClickErrors:
 
     @classmethod
     def of(cls, s: FeatureSet, fix: Fix, uv_px: ArrayLike, pointing_px: float, locator: Locator) -> ClickErrors:
-        """Of an answered click on a set."""
+        """The errors of an answered click on a set. Raises InputError if the set does not answer it."""
         parts = locator.error_parts(uv_px)
         if parts is None:
             raise InputError("this set does not answer this click")
@@ -267,7 +267,7 @@ class Pin:
 
     @property
     def seen_unix_ns(self) -> int | None:
-        """When the thing was seen last; None where no click states a time."""
+        """The moment when the thing was seen last; None where no click states a time."""
         return max((c.capture_unix_ns for c in self.clicks if c.capture_unix_ns is not None), default=None)
 
     def to_dict(self) -> dict[str, Any]:

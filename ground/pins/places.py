@@ -1,4 +1,4 @@
-"""Where the pins of a store are now: fused, tied, computed once for each version of a pin and of the ties."""
+"""Present places of a store's pins: fused, tied, computed once for each version of a pin and of the ties."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Places:
         self._known: dict[str, tuple[tuple[int, tuple[str, ...]], Fused]] = {}
 
     def place(self, pin: Pin) -> Fused:
-        """Where a pin is, or why that is not known."""
+        """The place of a pin, or the reason why it has none."""
         return self.of([pin])[0]
 
     def of(self, pins: Sequence[Pin]) -> list[Fused]:
@@ -45,11 +45,11 @@ class Places:
         return out
 
     def with_click(self, pin: Pin, click: PinClick) -> Fused:
-        """Where a pin would be with one more click."""
+        """The place that a pin would have with one more click."""
         return self.of_clicks([*pin.clicks, click])
 
     def of_clicks(self, clicks: Sequence[PinClick]) -> Fused:
-        """Where clicks of one thing that are no pin yet place it, as if they were one."""
+        """The place of clicks of one thing that are no pin yet, as if they were one."""
         return fuse(clicks, self._ties_of(clicks))
 
     def ties_of(self, pin: Pin) -> list[Tie]:

@@ -86,7 +86,7 @@ class PinDatabase(PinTables):
 
     @property
     def is_in_transaction(self) -> bool:
-        """Whether what is read now may still be rolled back."""
+        """True while what is read may still be rolled back."""
         return self._db is not None and self._db.info.transaction_status.name in ("ACTIVE", "INTRANS", "INERROR")
 
     def rows(self, statement: str, *values: object) -> list[tuple[Any, ...]]:
@@ -122,5 +122,5 @@ class PinDatabase(PinTables):
 
 
 def is_url(text: str) -> bool:
-    """Whether a store is named by a URL of PostgreSQL's."""
+    """Return whether a text is a PostgreSQL URL."""
     return text.startswith(SCHEMES)

@@ -29,7 +29,7 @@ class Reader:
         self._what = what
 
     def get(self, name: str) -> Any:
-        """As it is; None where it is missing."""
+        """The value as it is; None where it is missing."""
         return self._content.get(name)
 
     def maybe(self, name: str, read: Callable[[str], T]) -> T | None:
@@ -90,7 +90,7 @@ class Reader:
         return self.number(name, -1e5, 1e5)
 
     def list(self, name: str, most: int) -> list[Any]:
-        """At most so many of anything."""
+        """A list of at most `most` items of any kind."""
         value = self.get(name)
         if not isinstance(value, list) or len(value) > most:
             raise self._wrong(name, f"a list of at most {most}")

@@ -1,4 +1,4 @@
-"""How the errors of clicks are correlated: their joint covariance. Equation (17.1) of docs/mathematics-pins.md."""
+"""The correlation of clicks' errors: their joint covariance. Equation (17.1) of docs/mathematics-pins.md."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ def _positive(covariance: Array) -> Array:
 
 
 def _rest(click: PinClick) -> Array:
-    """What a click's covariance has beyond the linear terms: the curvature of (9.17)."""
+    """The part of a click's covariance beyond the linear terms: the curvature of (9.17)."""
     e = click.errors
     assert e is not None and click.covariance_enu_m2 is not None
     J = position_jacobian(e, e.offset_enu_m)

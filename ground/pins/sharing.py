@@ -49,7 +49,7 @@ ANSWER_S = 10.0
 
 @dataclass(frozen=True)
 class Shared:
-    """How sharing is. Counts are since its beginning."""
+    """The state of sharing. Counts are since its beginning."""
 
     servers: int  # received from recently
     same: int  # of these, with the same pins as here
@@ -247,7 +247,7 @@ class PinSharing:
         self._announcements.put(messages.announcement_to_bytes(announcement))
 
     def _look(self) -> list[Pin]:
-        """What has changed in the store since the last look, but for the first."""
+        """The pins that have changed in the store since the last look; none at the first."""
         revision = self._store.revision
         if revision == self._revision:
             return []
@@ -372,7 +372,7 @@ class PinSharing:
         return found[: messages.MAX_ASKED]
 
     def _replies(self, key: str, payload: bytes | None) -> list[bytes]:
-        """What one server answers, bounded in bytes."""
+        """The replies of one server, bounded in bytes. Raises InputError beyond that."""
         found, left = [], MAX_ANSWER_BYTES
         for reply in self._session.get(
             key, payload=payload, consolidation=zenoh.ConsolidationMode.NONE, timeout=ANSWER_S

@@ -1,4 +1,4 @@
-"""What ground servers send to each other of their pins: bytes <-> values, all of them checked. No clock, no link.
+"""Messages about pins between ground servers: bytes <-> values, all of them checked. No clock, no link.
 
 docs/wire-format.md, section 12. Anything that is not as specified there is an InputError.
 """
@@ -32,7 +32,7 @@ _IDENTITY = re.compile(rb"[0-9A-Za-z_-]{1,64}")
 
 @dataclass(frozen=True)
 class Announcement:
-    """What a server reports of itself, once a second. `digest` is the same where all pins are the same."""
+    """The report of a server about itself, once a second. `digest` is the same where all pins are the same."""
 
     server: str
     pins: int  # tombstones too
@@ -89,7 +89,7 @@ def version_of(pin: Pin) -> bytes:
 
 
 def digest_of(versions: Iterable[bytes]) -> int:
-    """Of all pins' versions, in any order."""
+    """The digest of all pins' versions, in any order."""
     return sum(int.from_bytes(version, "little") for version in versions) % 2**64
 
 

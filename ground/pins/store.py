@@ -63,7 +63,7 @@ class PinStore:
 
     @property
     def name(self) -> str:
-        """Where the pins are, for people: a path, or a URL without its password."""
+        """The place of the pins, for people: a path, or a URL without its password."""
         return self._file.name
 
     @property
@@ -80,7 +80,7 @@ class PinStore:
         who: str = "",
         since_unix_ns: int = 0,
     ) -> list[Pin]:
-        """Those that are not deleted, by number; `text` in name or note, in small or capital letters."""
+        """The pins that are not deleted, by number; `text` in name or note, in small or capital letters."""
         wanted = text.casefold()
         return [
             pin
@@ -98,14 +98,14 @@ class PinStore:
         return list(self._current().values())
 
     def pin(self, pin_id: str) -> Pin:
-        """By id. Raises InputError if there is none, or it was deleted."""
+        """The pin of an id. Raises InputError if there is none, or it was deleted."""
         found = self._current().get(pin_id)
         if found is None or found.is_deleted:
             raise InputError(f"no pin with id {pin_id[:64]!r}")
         return found
 
     def by_number(self, number: int) -> Pin:
-        """By number. Raises InputError if there is none, or it was deleted."""
+        """The pin of a number. Raises InputError if there is none, or it was deleted."""
         for pin in self._current().values():
             if pin.number == number and not pin.is_deleted:
                 return pin
@@ -117,7 +117,7 @@ class PinStore:
         return bytes(rows[0][0]) if rows else None
 
     def ties(self) -> list[Tie]:
-        """Those that are not deleted, in the order they were made."""
+        """The ties that are not deleted, in the order they were made."""
         with self._file.reading():
             # They have a revision of their own: pins come far more often.
             revision = self._file.value("ties_revision")
@@ -366,7 +366,7 @@ class PinStore:
         return item
 
     def _written_all(self, pins: Sequence[Pin]) -> list[_Change]:
-        """Of different ids."""
+        """Write pins of different ids; the changes, each with its document before and after."""
         revision = self._file.value("revision")
         before = {p.id: self._file.rows("SELECT doc FROM pins WHERE id = ?", p.id) for p in pins}
         docs = [_text(pin.to_dict()) for pin in pins]
@@ -380,7 +380,7 @@ class PinStore:
         return [("pin", pin.id, was, doc) for pin, was, doc in zip(pins, old, docs, strict=True)]
 
     def _written_tie(self, tie_id: str, doc: str | None) -> _Change:
-        """With this content, or deleted."""
+        """Write a tie with this content, or delete it; the change."""
         rows = self._file.rows("SELECT doc FROM ties WHERE id = ? AND is_deleted = 0", tie_id)
         self._file.bump("ties_revision")
         if doc is None:
@@ -460,7 +460,7 @@ def _text(content: dict[str, Any]) -> str:
 
 
 def _content(pin: Pin) -> dict[str, Any]:
-    """What a user sees of a pin, without the user who changed it last."""
+    """The content of a pin that a user sees, without the user who changed it last."""
     out = pin.to_dict()
     for name in ("modified_unix_ns", "modified_by", "number"):
         del out[name]
@@ -468,6 +468,6 @@ def _content(pin: Pin) -> dict[str, Any]:
 
 
 def order_of(pin: Pin) -> tuple[int, str, str]:
-    """Which of two versions of a pin is the later one: the same on every server."""
+    """The key that orders versions of a pin by time: the same on every server."""
     plain = replace(pin, number=0)
     return pin.modified_unix_ns, pin.modified_by, _text(plain.to_dict())

@@ -1,4 +1,4 @@
-"""What a store of pins asks of its database, SQLite or PostgreSQL: statements, transactions, errors as one line."""
+"""The database interface of a store of pins, SQLite or PostgreSQL: statements, transactions, errors as one line."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class PinTables(abc.ABC):
     @property
     @abc.abstractmethod
     def is_in_transaction(self) -> bool:
-        """Whether what is read now may still be rolled back."""
+        """True while what is read may still be rolled back."""
 
     @abc.abstractmethod
     def rows(self, statement: str, *values: object) -> list[tuple[Any, ...]]:

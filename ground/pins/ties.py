@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Judgement:
-    """How a tie agrees with the accuracy that its click states and with the ties before it."""
+    """The agreement of a tie with the accuracy that its click states and with the ties before it."""
 
     chi2: float
     freedom: int
@@ -78,7 +78,7 @@ def tie_of(
 
 
 def judge(tie: Tie, earlier: Sequence[Tie]) -> Judgement:
-    """Whether a tie agrees with the ties of its session that are there already. (17.5)"""
+    """Compare a tie with the ties of its session that are there already. (17.5)"""
     before = [t for t in earlier if _session(t) == _session(tie) and t.id != tie.id]
     shift, C = condition([tie.click], [_place(tie)], before)
     rows = _rows(tie)
@@ -95,7 +95,7 @@ def judge(tie: Tie, earlier: Sequence[Tie]) -> Judgement:
 def condition(
     clicks: Sequence[PinClick], spots: Sequence[object], ties: Sequence[Tie]
 ) -> tuple[Array, tuple[Array, Array]]:
-    """What to subtract from the clicks' positions (3 N,), and the joint covariances (3 N, 3 N) that are left. (17.4)
+    """The shift (3 N,) to subtract from the clicks' positions, and the joint covariances (3 N, 3 N) left. (17.4)
 
     Two of them, as in `shared.joint_covariances`.
     """

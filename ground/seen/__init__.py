@@ -1,1 +1,1 @@
-"""Which ground was seen, when, how often and how finely: from feature sets alone. NumPy only, but for GeoTIFF."""
+"""Seen ground: which, when, how often and how finely, from feature sets alone. NumPy only, but for GeoTIFF."""

@@ -36,7 +36,7 @@ def read_area(path: Path) -> list[Array]:
 
 
 def _rings(content: object) -> list[Array]:
-    """Of a geometry, a Feature or a FeatureCollection; what is no area is passed over."""
+    """The rings of a geometry, a Feature or a FeatureCollection; what is no area is passed over."""
     if not isinstance(content, dict):
         raise InputError("not GeoJSON: an object is needed")
     kind = content.get("type")

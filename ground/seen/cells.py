@@ -46,20 +46,20 @@ class Cells:
         return np.floor(row).astype(np.int64), np.floor(column).astype(np.int64)
 
     def places(self, lat_deg: ArrayLike, lon_deg: ArrayLike) -> tuple[Array, Array]:
-        """Where places are, in rows and columns and parts of them."""
+        """Rows and columns of places, with fractions."""
         lat, lon = np.asarray(lat_deg, float), np.asarray(lon_deg, float)
         east = (lon - self.lon0_deg + 180.0) % 360.0 - 180.0
         return np.asarray(lat / self.step_lat_deg), np.asarray(east / self.step_lon_deg)
 
     def lat_deg(self, row: ArrayLike) -> Array:
-        """Of the southern edges of rows; half a row on is a middle."""
+        """Latitudes of the southern edges of rows; half a row on is a middle."""
         return np.asarray(row, float) * self.step_lat_deg
 
     def lon_deg(self, column: ArrayLike) -> Array:
-        """Of the western edges of columns; beyond the date line it counts on."""
+        """Longitudes of the western edges of columns; beyond the date line it counts on."""
         return self.lon0_deg + np.asarray(column, float) * self.step_lon_deg
 
     def area_m2(self, row: ArrayLike) -> Array:
-        """Of one cell of each row."""
+        """The area of one cell of each row."""
         north_m, east_m = metres_per_degree(self.lat_deg(np.asarray(row, float) + 0.5))
         return north_m * self.step_lat_deg * east_m * self.step_lon_deg

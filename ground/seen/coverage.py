@@ -1,4 +1,4 @@
-"""How much of a searched area was seen, and its gaps."""
+"""The seen share of a searched area, and its gaps."""
 
 from __future__ import annotations
 
@@ -55,9 +55,9 @@ class Coverage:
 
 
 def coverage(seen: SeenGround, area: Sequence[Array] | None = None) -> Coverage | None:
-    """Of an area given by rings (K, 2) of longitude and latitude, or of the convex hull; None if nothing was seen.
+    """The coverage of an area given by rings (K, 2) of longitude and latitude, or of the convex hull of what was seen.
 
-    Raises InputError for an area of too many cells.
+    None if nothing was seen. Raises InputError for an area of too many cells.
     """
     cells, tiles = seen.cells, list(seen.all_tiles())
     tiles = [(at, tile) for at, tile in tiles if np.any(tile["count"])]

@@ -1,4 +1,4 @@
-"""What was seen, for other programs: GeoJSON (polygons) and GeoTIFF (a raster; extra `geotiff`). Both are WGS84."""
+"""Export of the seen ground to other programs: GeoJSON (polygons) and GeoTIFF (extra `geotiff`), both in WGS84."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ BANDS = (
 
 
 def write(path: Path, seen: SeenGround, found: Coverage) -> None:
-    """By the file's ending. Raises InputError; the file is there as a whole or not at all."""
+    """Write the format that the file's name ends with, as a whole or not at all. Raises InputError."""
     writer = WRITERS.get(path.suffix.lower())
     if writer is None:
         raise InputError(f"--to {path}: the name must end in {', '.join(sorted(WRITERS))}")

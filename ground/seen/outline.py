@@ -48,7 +48,7 @@ def ring_area(ring: Array) -> float:
 
 
 def cells_inside(rings: Iterable[Array], rows: int, columns: int) -> Mask:
-    """Which cells of (rows, columns) have their middles inside of rings (K, 2): inside of an odd number of them."""
+    """Mask (rows, columns) of the cells whose middles are inside of an odd number of rings (K, 2)."""
     crossed = np.zeros((rows, columns + 1), np.int64)
     for ring in rings:
         for (x0, y0), (x1, y1) in zip(ring, np.roll(ring, -1, axis=0), strict=True):
@@ -125,7 +125,7 @@ def _cell_left_of_edge(ring: Array) -> tuple[float, float]:
 
 
 def _is_inside(ring: Array, x: float, y: float) -> bool:
-    """Whether a place that is on no edge is inside of a ring."""
+    """Return whether a place that is on no edge is inside of a ring."""
     (x0, y0), (x1, y1) = ring.T, np.roll(ring, -1, axis=0).T
     crosses = (y0 > y) != (y1 > y)
     at = x0[crosses] + (y - y0[crosses]) * (x1[crosses] - x0[crosses]) / (y1[crosses] - y0[crosses])

@@ -48,7 +48,7 @@ class TooManyCells(Exception):
 
 
 def picture_cells(s: FeatureSet, cells: Cells) -> PictureCells:
-    """What a picture has seen. Raises TooManyCells."""
+    """Find the cells that a picture has seen. Raises TooManyCells."""
     if not s.is_ok:
         return NO_CELLS
     locator = Locator(s)
@@ -110,14 +110,15 @@ class GroundPlane:
         return np.column_stack([east_north_m, (1.0 - east_north_m @ self.normal[:2]) / self.normal[2] + rise_m])
 
     def rise(self, offset_enu_m: Array) -> Array:
-        """How high places (N, 3) are above the plane."""
+        """Heights (N,) of places (N, 3) above the plane."""
         out: Array = offset_enu_m[:, 2] - (1.0 - offset_enu_m[:, :2] @ self.normal[:2]) / self.normal[2]
         return out
 
 
 def _ground(s: FeatureSet, plane: GroundPlane, answers: Answers, east_north_m: Array, cell_m: float) -> Array:
-    """Of places (N, 2): east, north, up of the ground; a cell's sizes in the picture (4); ground sample distance; and 1
-    where none of this is known, as the set does not answer or no height settles (a hill is before the place): (9, N).
+    """Return nine rows (9, N) for places (N, 2): east, north, up of the ground; a cell's sizes in the picture (4);
+    ground sample distance; and 1 where none of this is known, as the set does not answer or no height settles (a hill
+    is before the place).
     """
     fields = np.stack([plane.rise(answers.offset_enu_m), *_sizes_px(answers, cell_m), _gsd(answers)])
     fields = fields.reshape(-1, LATTICE[1], LATTICE[0])
@@ -147,12 +148,12 @@ def _box(locator: Locator, answers: Answers, cells: Cells) -> tuple[Index, Index
 
 
 def _height_m(locator: Locator, answers: Answers) -> float:
-    """Of the ground, roughly, in the height of the locator's axes: what a place east and north of the camera needs."""
+    """The ground's rough height in the locator's axes: what a place east and north of the camera needs."""
     return locator.frame.height_m + float(np.median(answers.offset_enu_m[answers.is_answered, 2]))
 
 
 def _knots(index: Index) -> Array:
-    """Where along rows or columns the ground is looked up: at most KNOTS places, both ends among them."""
+    """The rows or columns at which the ground is looked up: at most KNOTS places, both ends among them."""
     return np.linspace(index[0], index[-1], min(len(index), KNOTS))
 
 
@@ -170,8 +171,7 @@ def _lattice(s: FeatureSet) -> Array:
 
 
 def _sizes_px(answers: Answers, cell_m: float) -> Array:
-    """Of a cell at each pixel asked: one sigma of where it is in u and in v, and half its extent in u and v: (4, M).
-
+    """Sizes (4, M) of a cell at each pixel asked: one sigma of its place in u and in v, half its extent in u and in v.
     (23.1)
     """
     to_px = _inverse(answers.by_pixel_m[:, :2])
@@ -182,8 +182,8 @@ def _sizes_px(answers: Answers, cell_m: float) -> Array:
 
 
 def _is_seen(uv_px: Array, s: FeatureSet, sizes_px: Array) -> Mask:
-    """Which cells (N,), whose middles are at pixels (N, 2), are in the picture as a whole by the pose as it is stated,
-    and with their middles with CERTAINTY by the pose as it may be. (23.2), (23.3)
+    """Mask (N,) of the cells, their middles at pixels (N, 2), that are in the picture as a whole by the pose as it is
+    stated, and with their middles with CERTAINTY by the pose as it may be. (23.2), (23.3)
     """
     is_whole, certainty = np.ones(len(uv_px), bool), np.ones(len(uv_px))
     for k, size in enumerate((s.camera.width_px, s.camera.height_px)):
@@ -211,7 +211,7 @@ def _gsd(answers: Answers) -> Array:
 
 
 def _inverse(matrix: Array) -> Array:
-    """Of (M, 2, 2); nan where there is none."""
+    """The inverse of each of (M, 2, 2); nan where there is none."""
     (a, b), (c, d) = matrix[:, 0].T, matrix[:, 1].T
     det = a * d - b * c
     flat = np.stack([d, -b, -c, a], axis=-1) / np.where(np.abs(det) > 1e-12, det, np.nan)[:, None]

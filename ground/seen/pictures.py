@@ -1,4 +1,4 @@
-"""Which pictures have seen a cell: of each picture the runs of cells in its rows, all in a few long arrays."""
+"""The pictures that have seen a cell: of each the runs of cells in its rows, all in a few long arrays."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Pictures:
         return len(self._number)
 
     def knows(self, key: Key, capture_unix_ns: int) -> bool:
-        """Whether a picture was added, or is older than one that was dropped."""
+        """Return whether a picture was added, or is no newer than one that was dropped."""
         return key in self._number or capture_unix_ns <= self._dropped_ns.get(key[:2], -1)
 
     def add(self, key: Key, capture_unix_ns: int, cells: PictureCells) -> None:
@@ -64,7 +64,7 @@ class Pictures:
             self._drop()
 
     def showing(self, row: int, column: int, most: int) -> list[Shown]:
-        """Those that have seen a cell, in the order of adding; of more than `most` as many evenly chosen ones."""
+        """The pictures that have seen a cell, in the order of adding; of more than `most`, as many chosen evenly."""
         runs = self._runs[self._from : self._to]
         there = runs[np.flatnonzero(runs["row"] == row)]
         there = there[(there["first"] <= column) & (column <= there["last"])]
@@ -77,7 +77,7 @@ class Pictures:
         return out
 
     def capture_unix_ns(self, key: Key) -> int | None:
-        """When a picture was taken; None if it is not among the last."""
+        """The moment when a picture was taken; None if it is not among the last."""
         number = self._number.get(key)
         return None if number is None else self._about[number][1]
 

@@ -1,4 +1,4 @@
-"""What has been seen of the ground: of each cell how often, when first and last, and by which picture most finely.
+"""The tally of seen ground: of each cell how often, when first and last, and by which picture most finely.
 
 Sets are added as they come, in any order, from any number of aircraft. A picture counts once: until its aircraft's
 newest one is SETTLED_S younger a later revision takes its place; then it is settled and nothing changes it. Memory is
@@ -216,7 +216,7 @@ def round_cell_m(wanted_m: float) -> float:
 
 
 def area_m2(cells: Cells, tiles: Iterable[tuple[tuple[int, int], Tile]], times: int | None = None) -> float:
-    """Of the cells of tiles that were seen, or that were seen just so often."""
+    """The area of the cells of tiles that were seen, or that were seen exactly `times` times."""
     rows = np.arange(TILE)
     counted = ((at, tile["count"] > 0 if times is None else tile["count"] == times) for at, tile in tiles)
     return sum(float(mask.sum(axis=1) @ cells.area_m2(at[0] * TILE + rows)) for at, mask in counted)

@@ -54,9 +54,9 @@ class Area:
 
 @dataclass(frozen=True, eq=False)
 class Fire:
-    """What burned from `first_unix_ns` to `last_unix_ns`: as seen, surely, perhaps: 90 % of outlines err by no more
-    than that. `spread_m_s`: how fast the fastest part of the front moved, with one sigma; None where there is no
-    earlier time to compare.
+    """The ground that burned from `first_unix_ns` to `last_unix_ns`: as seen, surely, perhaps: 90 % of outlines err by
+    no more than that. `spread_m_s`: how fast the fastest part of the front moved, with one sigma; None where there is
+    no earlier time to compare.
     """
 
     first_unix_ns: int
@@ -89,7 +89,7 @@ class FireGround:
         self._regions: deque[_Region] = deque(maxlen=MOST_OUTLINES)
 
     def add(self, report: SpotReport) -> None:
-        """Those of its spots that burn and have an outline."""
+        """Keep those of its spots that burn and have an outline."""
         for spot in report.spots:
             place = spot.place
             if place is None or len(spot.outline_en_m) < 3 or not self._burns(spot):
@@ -105,7 +105,7 @@ class FireGround:
             )  # fmt: skip
 
     def fire(self, minutes: float, until_unix_ns: int | None = None) -> Fire | None:
-        """What burned in the last minutes before a time (default: the newest region's); None if nothing did."""
+        """The fire of the last minutes before a time (default: the newest region's); None if nothing burned."""
         newest = max((region.at_ns for region in self._regions), default=0)
         until = newest if until_unix_ns is None else until_unix_ns
         since = until - round(minutes * 60e9)
@@ -211,7 +211,7 @@ class _Grid:
         return [*out, out[0]]
 
     def _widened(self, mask: Mask, ellipse: Ellipse) -> Mask:
-        """What an ellipse about any marked cell reaches: row by row of the ellipse, a run along the mask's rows."""
+        """Mark all cells that an ellipse about a marked cell reaches: for each row of it, a run in the mask's rows."""
         azimuth = math.radians(ellipse.azimuth_deg)
         along, across = (math.sin(azimuth), math.cos(azimuth)), (math.cos(azimuth), -math.sin(azimuth))
         a, b = (max(axis / self.cell_m, 1e-6) for axis in (ellipse.semi_major_m, ellipse.semi_minor_m))
@@ -233,7 +233,7 @@ class _Grid:
 
 
 def _thinned(held: list[_Region]) -> list[_Region]:
-    """Of many pictures' regions those of some, evenly, with the newest."""
+    """Thin the regions of many pictures to those of some, evenly, with the newest."""
     frames = list(dict.fromkeys(region.frame for region in sorted(held, key=lambda r: r.at_ns)))
     kept = set(frames[::-1][:: max(1, -(-len(frames) // MOST_PICTURES))])
     return [region for region in held if region.frame in kept]

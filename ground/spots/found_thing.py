@@ -47,12 +47,12 @@ class FoundThing:
 
     @property
     def is_sure(self) -> bool:
-        """Whether more than one picture shows it: noise that looks hot once is not there again."""
+        """True if more than one picture shows it: noise that looks hot once is not there again."""
         return self.pictures > 1
 
     @property
     def heat_text(self) -> str:
-        """How hot, in words."""
+        """The heat in words."""
         word = "colder" if self.contrast < 0.0 else "hotter"
         sigmas = f"{abs(self.contrast):.1f} sigmas {word} than its ground"
         if self.temperature_c is None or self.above_ground_k is None:
@@ -60,7 +60,7 @@ class FoundThing:
         return f"{self.temperature_c:.1f} degC, {self.above_ground_k:+.1f} K, {sigmas}"
 
     def to_dict(self) -> dict[str, object]:
-        """For JSON."""
+        """Return the JSON object."""
         b = self.best
         content: dict[str, object] = {
             "spot": self.number, "pictures": self.pictures, "vehicles": list(self.vehicles),
@@ -93,5 +93,5 @@ class FoundThing:
 
     @property
     def course_text(self) -> str:
-        """How it moves, in words."""
+        """The course in words; "speed not known" without one."""
         return "speed not known" if self.course is None else self.course.to_text()

@@ -34,7 +34,7 @@ MOST_THINGS, MOST_KEPT_SPOTS = 2000, 60  # and as many that were the best once
 
 @dataclass(eq=False)
 class _Thing:
-    """By session: the filter in which it stands and the one in which it moves."""
+    """A thing with its spots and, by session, the filter in which it stands and the one in which it moves."""
 
     number: int
     still: dict[Session, Motion] = field(default_factory=dict)
@@ -55,13 +55,13 @@ class _Thing:
 
     @property
     def has_moved(self) -> bool:
-        """Whether standing does not explain the places in the newest session. (26.7)"""
+        """True if standing does not explain the places in the newest session. (26.7)"""
         moving, still = self.moving[self.last], self.still[self.last]
         return moving.count > 2 and still.misfit - moving.misfit > MOVED
 
     @property
     def is_moving(self) -> bool:
-        """Whether it has moved and has not come to rest."""
+        """True if it has moved and has not come to rest."""
         motion = self.moving[self.last]
         v = motion.velocity_m_s
         return self.has_moved and float(v @ np.linalg.solve(motion.velocity_covariance, v)) > MOVES
@@ -136,7 +136,7 @@ class SpotMerger:
         return [self._value(thing) for thing in changed if thing.number in self._things]
 
     def things(self, wanted: Collection[int] | None = None) -> list[FoundThing]:
-        """By number: all, or those of some numbers that are still kept."""
+        """The things by number: all, or those of some numbers that are still kept."""
         return [self._value(self._things[n]) for n in sorted(self._things) if wanted is None or n in wanted]
 
     def _sighting(self, report: SpotReport, spot: Spot, place: Place) -> Sighting:
@@ -169,7 +169,7 @@ class SpotMerger:
         return out
 
     def _near(self, session: Session, seen: Sighting) -> Iterable[_Thing]:
-        """Those within any reach: of thousands few are looked at closely."""
+        """Yield the things within any reach: of thousands few are looked at closely."""
         reach_m = 6.0 * math.sqrt(float(np.linalg.eigvalsh(seen.covariance_m2)[-1])) + 50.0
         for thing in self._things.values():
             held = thing.still.get(session) or thing.still[thing.last]
@@ -182,7 +182,7 @@ class SpotMerger:
         return made
 
     def _forget(self) -> None:
-        """Of too many those that were seen in the fewest pictures, and longest ago."""
+        """Drop from too many things those that were seen in the fewest pictures, and longest ago."""
         while len(self._things) > MOST_THINGS:
             least = min(self._things.values(), key=lambda t: (t.pictures, t.spots[-1].capture_unix_ns))
             del self._things[least.number]
@@ -217,7 +217,7 @@ class SpotMerger:
 
 
 def _note(t: _Thing, report: SpotReport, spot: Spot) -> None:
-    """What is reported of a thing but its place. The best picture of it is the one with the most contrast, uncut."""
+    """Note all of a report on a thing but its place. Its best picture is the one with the most contrast, uncut."""
     where = SeenSpot(report.vehicle, report.session, report.frame, report.capture_unix_ns, spot.u_px, spot.v_px)
     t.first_unix_ns = min(t.first_unix_ns or where.capture_unix_ns, where.capture_unix_ns)
     t.pictures += 1

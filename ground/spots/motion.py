@@ -1,4 +1,4 @@
-"""Where a thing is, and how it moves, from its places in the pictures of one session. Equations (26.1) to (26.6).
+"""Place and motion of a thing from its places in the pictures of one session. Equations (26.1) to (26.6).
 
 A place's error has three parts: one that all pictures of the session share, one that all spots of its picture share and
 that lasts for some seconds, and its own. Only the last becomes less with the number of pictures.
@@ -33,7 +33,7 @@ class Sighting:
     def of(
         cls, at_s: float, place_m: Array, covariance_m2: Array, picture_share: float, session_share: float
     ) -> Sighting:
-        """From a covariance (2, 2) and the shares of it that are not the spot's own. (26.1)"""
+        """Split a covariance (2, 2) by the shares of it that are not the spot's own. (26.1)"""
         values, vectors = np.linalg.eigh(covariance_m2)
         root = vectors * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
         session = min(max(session_share, 0.0), 1.0)
@@ -46,7 +46,7 @@ class Sighting:
 
     @property
     def covariance_m2(self) -> Array:
-        """Of the whole error."""
+        """The covariance (2, 2) of the whole error."""
         shared = self.session_root_m @ self.session_root_m.T + self.picture_root_m @ self.picture_root_m.T
         return shared + self.own_m2
 
@@ -129,7 +129,7 @@ class Motion:
         return out
 
     def _innovation(self, seen: Sighting) -> tuple[Array, Array, Array]:
-        """What a place adds to what was known (2,), its covariance (2, 2), and the state's part in it (2, 6)."""
+        """The innovation (2,) of a place, its covariance (2, 2), and H (2, 6), which maps the state to the place."""
         state, P, shared = self.at(seen.at_s)
         H = np.hstack([np.eye(2), np.zeros((2, 2)), seen.picture_root_m])
         common = H @ shared - seen.session_root_m

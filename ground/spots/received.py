@@ -14,7 +14,7 @@ from ground.spots.merging import SpotMerger
 
 
 def reports_in(key: str, payload: bytes) -> list[SpotReport]:
-    """Of a message of the link: one, or none of what is no message of spots."""
+    """The report in a message of the link; none if it is no message of spots."""
     try:
         return [read_spots(key, payload)]
     except (ValueError, WireError):
@@ -66,12 +66,12 @@ class ReceivedSpots:
             return self._version, self._merger.things(changed)
 
     def thing(self, number: int) -> FoundThing | None:
-        """By its number; None if there is none."""
+        """The thing of a number; None if there is none."""
         with self._lock:
             return next(iter(self._merger.things({number})), None)
 
     def fire(self, minutes: float) -> Fire | None:
-        """What burned in the last minutes of what was received; None if nothing did. Takes a second or two."""
+        """The fire of the last minutes of what was received; None if nothing burned. Takes a second or two."""
         with self._lock:
             held = self._fire.copy()
         return held.fire(minutes)
