@@ -102,7 +102,7 @@ class _Parked:
 
 @dataclass(frozen=True)
 class _Message:
-    """A message that could go now: its bytes, `gone` to call once it may go, and `put` to send it, outside of the lock."""
+    """A message that could go now: its bytes, `gone` to call once it may go, and `put` to send it without the lock."""
 
     size: int
     gone: Callable[[], object]
