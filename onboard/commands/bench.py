@@ -74,7 +74,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _flight(arguments: argparse.Namespace) -> tuple[Config, Camera, Iterable[tuple[int, Event]]]:
-    """What to fly: a session, pictures with a log, or a made flight with the configured camera."""
+    """Return the flight to process: a session, pictures with a log, or a made flight with the configured camera."""
     if arguments.recording is not None:
         config, camera, recorded = recorded_flight(arguments.recording)
         return config, camera, recorded.events()

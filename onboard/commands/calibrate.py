@@ -33,10 +33,10 @@ from onboard.events.types import Frame
 PRINT_DPI = 300
 MARGIN_M = 0.008
 STILL_SHARE = 1.0 / 800.0
-"""Of the picture's width: corners that move less from one picture to the next are of a board held still."""
+"""The share of the picture's width below which the corners' motion from one picture to the next shows a still board."""
 STILL_WITHIN_S = 0.5
 NEW_SHARE = 0.03
-"""Of the picture's width: corners must be this far from those of every view kept."""
+"""The share of the picture's width by which corners must be away from those of every view kept."""
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -212,7 +212,7 @@ class Collector:
 
 
 def _distance_px(a: View, b: View) -> float | None:
-    """How far, on average, the corners that two views share are apart; None if they share too few."""
+    """Return the mean distance between the corners that two views share; None if they share too few."""
     _, in_a, in_b = np.intersect1d(a.numbers, b.numbers, return_indices=True)
     if len(in_a) < 4:
         return None

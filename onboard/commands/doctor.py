@@ -57,7 +57,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def is_coloured(stream: TextIO, environment: Mapping[str, str] = os.environ) -> bool:
-    """On a terminal, unless $NO_COLOR is set (no-color.org)."""
+    """Return whether to use colours: on a terminal, unless $NO_COLOR is set (no-color.org)."""
     return stream.isatty() and not environment.get("NO_COLOR")
 
 
@@ -193,7 +193,7 @@ class Look:
             self._gps = event
 
     def _take_nothing(self, arrival_ns: int, event: Event) -> None:
-        """What is looked at of the second camera is whether it comes."""
+        """Pass over the second camera's events: only whether it comes is checked."""
 
     def _status(self, name: str) -> SourceStatus:
         if name in self._errors:

@@ -1,4 +1,4 @@
-"""What `pc-onboard import-photos` does: a folder of survey photographs becomes a flight that `replay` reads."""
+"""The command `pc-onboard import-photos`: a folder of survey photographs becomes a flight that `replay` reads."""
 
 from __future__ import annotations
 
@@ -226,9 +226,10 @@ def _photos(folder: Path) -> list[PhotoMetadata]:
 def _in_order(
     photos: list[PhotoMetadata], utc_offset_h: float, table: Path | None
 ) -> tuple[list[PhotoMetadata], _Times]:
-    """By capture time: that of a table next to them, else EXIF's if all have one, else that in the names.
+    """Return the photographs in order of capture time, and these times.
 
-    Times cut to the second are spread within it.
+    The times are those of a table next to them, else EXIF's, else those in the names. Times cut to the second are
+    spread within it. Raises InputError where a photograph has no time, or two have the same.
     """
     if table is not None and (by_table := _by_table(photos, table)) is not None:
         return by_table
@@ -264,7 +265,10 @@ def _by_table(photos: list[PhotoMetadata], table: Path) -> tuple[list[PhotoMetad
 
 
 def _focal(photos: list[PhotoMetadata]) -> Focal | None:
-    """What all state about their lens; None where none states anything."""
+    """Return the focal length that all photographs state; None where none states one.
+
+    Raises InputError where only some state it, or where they differ by more than 1 %.
+    """
     known = [photo.focal for photo in photos if photo.focal is not None]
     if not known:
         return None
@@ -314,7 +318,7 @@ def _by_photos(photos: list[PhotoMetadata], times: _Times) -> tuple[dict[str, di
 
 
 def _turn_m(photos: list[PhotoMetadata]) -> float:
-    """By how much two steps in a row may differ where the aircraft turned back between two pictures: no jump yet."""
+    """Return by how much two steps in a row may differ where the aircraft turned back: that is no jump yet."""
     first = LocalFrame(photos[0].lat_deg or 0.0, photos[0].lon_deg or 0.0, 0.0)
     east_north_m = [first.to_enu(photo.lat_deg or 0.0, photo.lon_deg or 0.0, 0.0)[:2] for photo in photos]
     longest_m = max(math.dist(a, b) for a, b in itertools.pairwise(east_north_m))

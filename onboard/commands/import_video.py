@@ -1,4 +1,4 @@
-"""What `pc-onboard import-video` does: a video and the log of its flight become a flight that `replay` reads."""
+"""The command `pc-onboard import-video`: a video and the log of its flight become a flight that `replay` reads."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ _FOCAL = re.compile(r"\[focal_len\s*:\s*(\d+(?:\.\d+)?)\]", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class _Beginning:
-    """When the video began by the source of that, and what is known of its clock."""
+    """The beginning of the video, the source that states it, and what is known of that clock."""
 
     unix_ns: int
     source: str
@@ -118,7 +118,7 @@ def _size(video: Path) -> tuple[int, int]:
 
 
 def _beginning(video: Path, log: TelemetryLog, arguments: argparse.Namespace) -> _Beginning:
-    """Of subtitles their own, else as it was given, in the name, or in the file. Raises InputError."""
+    """Return the beginning by the subtitles, else as given, by the name, or by the file. Raises InputError."""
     if log.video_epoch_ns is not None:
         return _Beginning(log.video_epoch_ns, "as the subtitles count")
     if arguments.start is not None:

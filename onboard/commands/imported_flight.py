@@ -1,4 +1,4 @@
-"""What `import-photos` and `import-video` share: the guessed camera and mount, the log, and the folder written.
+"""The common part of `import-photos` and `import-video`: guessed camera and mount, the log, and the folder written.
 
 Everything that is guessed is a row of the list that is printed, and can be set otherwise by `--set KEY=VALUE`.
 """
@@ -47,7 +47,7 @@ class Optics:
 
 @dataclass
 class ImportedFlight:
-    """What becomes a folder for `replay`: configuration by section and key (TOML values), and the list to print."""
+    """An imported flight: configuration by section and key (TOML values), and the list to print."""
 
     out: Path
     frames: Path
@@ -184,7 +184,7 @@ def _given(size_px: tuple[int, int], value: str) -> Focal:
 
 
 def _of_focal(size_px: tuple[int, int], focal: Focal, sigma_k1: float = SIGMA_K1) -> Optics:
-    """With sigmas where `pc-onboard calibrate` has them: the flight estimates what they leave open."""
+    """Return optics with sigmas in the place where `pc-onboard calibrate` has them: the flight estimates the rest."""
     width, height = size_px
     cx, cy = focal.centre_px or ((width - 1) / 2.0, (height - 1) / 2.0)
     camera = Camera(width, height, focal.fx_px, focal.fy_px, cx, cy, focal.distortion or (0.0, 0.0, 0.0, 0.0, 0.0))
@@ -242,7 +242,7 @@ def _toml(value: object) -> str:
 
 
 def shots_in_folder(folder: Path) -> tuple[int, ...]:
-    """When DJI's timestamp file (.MRK) next to photographs states that they were taken (Unix ns); empty without one."""
+    """Return when DJI's file (.MRK) next to photographs states that they were taken (Unix ns); empty without one."""
     found = sorted(entry for entry in folder.iterdir() if entry.suffix.lower() == ".mrk" and entry.is_file())
     return tuple(sorted(shot for path in found for shot in read_mrk(path)))
 

@@ -1,4 +1,4 @@
-"""What each line of `pc-onboard doctor` means, and what to do where it is bad."""
+"""The meaning of each line of `pc-onboard doctor`, and what to do where it is bad."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ MAX_UNHEARD = 0.5  # of the questions answered
 
 @dataclass(frozen=True)
 class Line:
-    """What was looked at, whether it is well, and what was seen."""
+    """A line of the report: the thing checked, whether it is well, and what was seen."""
 
     name: str
     is_good: bool
@@ -49,7 +49,7 @@ class Line:
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What is known without the report."""
+    """The facts that are known without the report."""
 
     camera: Camera | str  # the camera file, or what is wrong with it
     link: str  # what is wrong with the link; empty if nothing
@@ -94,7 +94,7 @@ def diagnose(config: Config, report: Report, around: Surroundings) -> list[Line]
 
 
 def _thermal(config: Config) -> Line:
-    """Whether counts are temperatures; a camera that has none may fly."""
+    """Return whether counts are temperatures; a camera that has none may fly."""
     key = "thermal.scale" if config.thermal.enabled else "camera.thermal.scale"
     unknown = f"; hot spots have no temperatures ({key})" if config.heat.calibration is None else ""
     return Line("thermal", True, config.heat.words.removeprefix("thermal, ") + unknown)
@@ -110,14 +110,14 @@ def _sensors(report: Report) -> Line:
 
 
 def _state_line(report: Report) -> Line:
-    """As `pc-onboard status` has it; the lines below report the same, one by one."""
+    """Return the state as `pc-onboard status` has it; the lines below report the same, one by one."""
     status = report.status
     is_well = status.state in {state.value for state in VehicleState if state.is_well}
     return Line("state", is_well, f"{status.state}: {status.reason}" if status.reason else status.state)
 
 
 def _judged(report: Report, subject: Subject) -> Line:
-    """What the daemon has found amiss with one thing; how it is if nothing."""
+    """Return what the daemon has found amiss with one thing; if nothing, how it is."""
     found = [finding for finding in report.findings if finding.subject is subject]
     if found:
         words = dict.fromkeys(finding.reason.removeprefix(f"{subject.value}: ") for finding in found)
@@ -156,7 +156,7 @@ def _rate(config: Config, report: Report) -> Line:
 
 
 def _stamps(config: Config, report: Report) -> Line:
-    """How well pictures are timed: each against the others, and all against the autopilot."""
+    """Return how well pictures are timed: each against the others, and all against the autopilot."""
     sigma_ms, camera = report.camera.figures.get("stamp_sigma_ms"), config.camera
     each = "" if sigma_ms is None else f"each picture's time +-{sigma_ms:.1f} ms; "
     learned = report.estimate(TIME_OFFSET)
@@ -216,7 +216,7 @@ def _time_sync(config: Config, report: Report) -> Line:
 
 
 def _left_out(report: Report) -> Line:
-    """What of the picture is taken for no ground."""
+    """Return what of the picture is taken for no ground."""
     left_out = report.pictures.left_out
     return Line("left out", left_out.masked + left_out.standing <= MAX_LEFT_OUT, str(left_out) or "nothing")
 
@@ -259,7 +259,7 @@ def _calibration(camera: Camera | str) -> Line:
 
 
 def _radio(config: Config, radio: RadioReport | None) -> Line:
-    """Whether what goes through the autopilot's radio arrives; unknown until a ground has listened or asked."""
+    """Return whether what goes through the autopilot's radio arrives; unknown until a ground has listened or asked."""
     most = f"link.mavlink_bit_rate {config.link.mavlink_bit_rate:g} bit/s"
     if radio is None:
         return Line("radio", True, f"for clicks and sets, {most}; whether it carries that shows in flight")

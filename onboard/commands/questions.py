@@ -37,7 +37,7 @@ class Terminal:
         raise ConfigError(f"setup: no usable answer to {question!r} in {MOST_TRIES} tries")
 
     def choose(self, question: str, options: Sequence[str]) -> int:
-        """Which of some options, by its number from 1; the first is the default. Returns its index."""
+        """Show some options, numbered from 1, and return the index of the one chosen; the first is the default."""
         for number, option in enumerate(options, 1):
             self.show(f"  {number}  {option}")
 

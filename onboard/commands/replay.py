@@ -1,4 +1,4 @@
-"""What `pc-onboard replay` opens, wires and prints. Imported only after the environment is set."""
+"""The parts that `pc-onboard replay` opens, wires and prints. Imported only after the environment is set."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ from onboard.storage.rotating_recorder import software_version
 
 @dataclass(frozen=True)
 class _Inputs:
-    """What a replay starts from."""
+    """The inputs of a replay."""
 
     config: Config
     config_text: str
@@ -177,7 +177,7 @@ def _check_place(path: Path) -> None:
 
 
 def _followed(arguments: argparse.Namespace, config: Config, whole: WholeRecording | None) -> Followed | None:
-    """What follows the things that are clicked with --track; None without any. Raises InputError for too many."""
+    """Return the follower of the things clicked with --track; None without any. Raises InputError for too many."""
     if len(arguments.track) > MOST_TRACKS:
         raise InputError(f"--track: {MOST_TRACKS} things can be followed at once, not {len(arguments.track)}")
     outlets = [_print_tracks] if whole is None else [_print_tracks, whole.tracks]
@@ -197,7 +197,7 @@ def _second_camera(arguments: argparse.Namespace, inputs: _Inputs) -> Camera | N
 
 
 def _second_pictures(arguments: argparse.Namespace, inputs: _Inputs, camera: Camera) -> Iterator[Frame]:
-    """That camera's pictures: as named, else as recorded. Raises InputError where there are none."""
+    """Return that camera's pictures: as named, else as recorded. Raises InputError where there are none."""
     if arguments.thermal is not None:
         stamps, latency_s = arguments.thermal_stamps, inputs.config.camera.thermal.latency_s
         return open_frames(arguments.thermal, camera, stamps, latency_s, is_thermal=True).frames()
@@ -212,7 +212,9 @@ def _second_pictures(arguments: argparse.Namespace, inputs: _Inputs, camera: Cam
 def _spotted(
     arguments: argparse.Namespace, inputs: _Inputs, second: Camera | None, whole: WholeRecording | None
 ) -> Spotted | None:
-    """What looks for hot spots; None where that is not asked. Raises InputError where no thermal camera is stated."""
+    """Return the search for hot spots; None if it is not requested. Raises InputError where no thermal camera is
+    stated.
+    """
     if not arguments.spots:
         return None
     config = inputs.config
@@ -241,7 +243,7 @@ def _print_tracks(reports: list[TrackReport]) -> None:
 
 
 def _last_status(pipeline: Pipeline, newest: NewestBudget) -> VehicleStatus | None:
-    """How the flight was at its end, for the error budget that is in it; None if no picture was placed."""
+    """Return the status at the flight's end, for the error budget that is in it; None if no picture was placed."""
     if newest.newest is None:
         return None
     s = newest.newest.feature_set

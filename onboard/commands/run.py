@@ -179,7 +179,7 @@ def _tracks(config: Config, link: Publisher) -> TrackThread | None:
 def _spots(
     config: Config, link: Publisher, clock: SessionClock, optics: Camera | None
 ) -> tuple[SpotThread | None, SecondCameraThread | None]:
-    """What looks for hot spots, and the second camera in whose pictures it does where there is one."""
+    """Return the thread that looks for hot spots, and that of the second camera in whose pictures it looks, if any."""
     if not (config.spots.enabled and (optics is not None or config.thermal.enabled)):
         return None, None
     spots = SpotThread(config, [lambda _, payload: link.publish_spots(payload)], optics)

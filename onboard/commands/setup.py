@@ -84,7 +84,7 @@ def v4l2_cameras() -> list[Found]:
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What is looked at; tests have their own."""
+    """The surroundings that are examined; tests have their own."""
 
     cameras: Callable[[], list[Found]] = v4l2_cameras
     wires: Callable[[], list[str]] = field(default=lambda: list(candidates()))
@@ -170,7 +170,7 @@ def _finish(config_path: Path, written: str, left: list[str], around: Surroundin
 
 
 def _write_config(path: Path, text: str, *, has_password: bool) -> None:
-    """With owner and mode of the file that it replaces; a new one with a password is readable by no one else."""
+    """Write it with owner and mode of the file that it replaces; only the owner can read a new one with a password."""
     if path.exists():
         was = path.stat()
         write(path, text.encode(), was.st_mode & 0o777, (was.st_uid, was.st_gid))
@@ -213,7 +213,7 @@ def _camera(arguments: argparse.Namespace, terminal: Terminal | None, around: Su
 def _camera_file(
     arguments: argparse.Namespace, terminal: Terminal | None, camera: Found, path: Path, left: list[str]
 ) -> tuple[Path, str | None]:
-    """Where the camera file is, and its text if it is to be written."""
+    """Return the path of the camera file, and its text if it is to be written."""
     if arguments.camera_file is not None:
         Camera.from_json(arguments.camera_file)
         return arguments.camera_file.resolve(), None
@@ -228,7 +228,7 @@ def _camera_file(
 
 
 def _lens(arguments: argparse.Namespace, terminal: Terminal | None, camera: Found) -> Lens:
-    """As given, else as known from the driver's name, else as the person at the terminal states."""
+    """Return the lens as given, else as known from the driver's name, else as the person at the terminal states."""
     if arguments.fov_deg is not None:
         return _stated(arguments.fov_deg)
     try:
