@@ -1,4 +1,4 @@
-"""What an operator can do about a refused click, in a sentence for each reason."""
+"""Advice to an operator on a refused click, in a sentence for each reason."""
 
 from __future__ import annotations
 

@@ -57,7 +57,7 @@ def _import(context: ServerContext, name: str, data: bytes, who: str) -> dict[st
 
 
 def _text(form: str, lat_deg: float, lon_deg: float) -> str:
-    """In another form, for the eye to check; empty where it has none, as UTM at a pole."""
+    """The coordinate in another form, for the eye to check; empty where it has none, as UTM at a pole."""
     try:
         return rounded_text(form, lat_deg, lon_deg, None)
     except InputError:

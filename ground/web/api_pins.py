@@ -46,7 +46,7 @@ class MoreClick(ClickBody):
 
 
 class Edit(BaseModel):
-    """What is to change; what is left out stays."""
+    """Changes to a pin; a field left out stays as it is."""
 
     model_config = ConfigDict(extra="forbid")
     name: str | None = Field(default=None, max_length=MAX_NAME)
@@ -71,7 +71,7 @@ class NewTie(BaseModel):
 
 
 class Who(BaseModel):
-    """Whose change it is."""
+    """The name of the person who makes a change."""
 
     model_config = ConfigDict(extra="forbid")
     who: str = Field(default="", max_length=MAX_WHO)

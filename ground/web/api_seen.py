@@ -1,4 +1,4 @@
-"""What was seen of the ground: the layer of the map, and the pictures that show a place."""
+"""The seen ground: the layer of the map, and the pictures that show a place."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ Number = Annotated[int, Path(ge=1, le=10**9)]
 
 
 class Confirmed(BaseModel):
-    """What a person identifies it as."""
+    """The pin that a person makes of a found thing."""
 
     model_config = ConfigDict(extra="forbid")
     name: str = Field(default="", max_length=MAX_NAME)
@@ -27,7 +27,7 @@ class Confirmed(BaseModel):
 
 
 class Dismissed(BaseModel):
-    """Who states that it is nothing."""
+    """The name of the person who states that a found thing is nothing."""
 
     model_config = ConfigDict(extra="forbid")
     who: str = Field(default="", max_length=MAX_WHO)
@@ -94,7 +94,7 @@ def spots_router(context: ServerContext) -> APIRouter:
 
 
 def spots_json(context: ServerContext, things: list[FoundThing]) -> list[dict[str, Any]]:
-    """As the page shows them."""
+    """The things as the page shows them, with the decisions on them."""
     made = decisions(context.store.everything()) if things else {}
     return [_spot_json(thing, decision(thing, made)) for thing in things]
 

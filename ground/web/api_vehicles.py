@@ -187,14 +187,14 @@ def _state(report: VehicleReport, found: FeatureSet | None) -> str:
 
 
 def _clock(report: VehicleReport, found: FeatureSet | None) -> str | None:
-    """What the aircraft's clock, by which captures are stamped, shows now: a picture's age is the difference."""
+    """The time now, ns, of the aircraft's clock, by which captures are stamped: a picture's age is the difference."""
     if found is None or report.picture_age_s is None:
         return None
     return str(found.capture_unix_ns + round(report.picture_age_s * 1e9))
 
 
 def _words(report: VehicleReport, found: FeatureSet | None) -> str:
-    """How the vehicle is, for people."""
+    """The state of the vehicle, for people."""
     if report.received_age_s is not None and report.received_age_s > LOST_S:
         return f"nothing received for {report.received_age_s:.0f} s"
     status = report.status

@@ -131,7 +131,7 @@ def create_app(context: ServerContext, rules: Rules) -> ASGIApp:
 
 
 def _in_a_line(error: RequestValidationError) -> str:
-    """What is wrong with a request: which field, and why, without what was sent."""
+    """The fault of a request: which field, and why, without what was sent."""
     wrong = error.errors()
     if wrong[0]["type"] == "json_invalid":
         return "the body is no JSON"

@@ -9,7 +9,7 @@ import webbrowser
 
 
 def open_in_browser(link: str) -> None:
-    """Does not wait for the browser. Without a screen it prints that: a text browser would take the terminal."""
+    """Open the link without waiting. Without a screen it prints that: a text browser would take the terminal."""
     if not has_screen():
         print("no screen here: open the link in a browser (of another machine: ssh -L, or pc-ground web --host)")
         return

@@ -97,7 +97,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_page_arguments(parser: argparse.ArgumentParser) -> None:
-    """What `open` takes too."""
+    """Add the arguments that `open` takes too."""
     parser.add_argument("--port", type=_port, metavar="N", help=f"port to serve on (default {PORT}; 0: any)")
     parser.add_argument("--pins", type=Path, metavar="FILE", help="where pins are kept (default: with your other data)")
     parser.add_argument("--tiles", metavar="FILE|URL", help="base map: FILE.pmtiles, FILE.mbtiles or a URL")
@@ -137,7 +137,7 @@ def run(args: argparse.Namespace) -> int:
 
 @dataclass(frozen=True)
 class Tokens:
-    """What browsers are asked for; empty: none is asked for, or there is none with which one only looks."""
+    """Tokens of operators and of viewers; empty: operators need none, or there is none with which one only looks."""
 
     operator: str
     viewer: str

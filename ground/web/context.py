@@ -1,4 +1,4 @@
-"""What all requests share, the server context: the source, the pins and who gets events of changes."""
+"""The server context, which all requests share: the source, the pins and who gets events of changes."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ class ServerContext:
             raise NotThere(str(error)) from error
 
     def pin_click(self, clicked: Clicked, u_px: float, v_px: float, who: str) -> PinClick | None:
-        """What a pin keeps of an answered click; None of a refusal."""
+        """The part of an answered click that a pin keeps; None of a refusal."""
         if clicked.feature_set is None or not isinstance(clicked.answer, Fix):
             return None
         return PinClick.of(clicked.feature_set, clicked.answer, (u_px, v_px), who=who, locator=clicked.locator)
@@ -129,13 +129,13 @@ class ServerContext:
         self.hub.send_from_thread(event)
 
     def changed_elsewhere(self) -> bool:
-        """Whether anything but requests here has changed the pins since this was asked last. Raises InputError."""
+        """Return whether anything but requests here has changed the pins since the last call. Raises InputError."""
         with self._lock:
             before, self._revision = self._revision, self.store.revision
             return before != self._revision
 
     def sharing_words(self) -> str:
-        """How sharing pins with other servers goes; empty where they are not shared."""
+        """The state of sharing pins with other servers, in words; empty where they are not shared."""
         return "" if self.sharing is None else str(self.sharing.state)
 
     def seen(self, pin: Pin) -> list[dict[str, Any]]:

@@ -36,7 +36,7 @@ class Hub:
         self._queues.discard(queue)
 
     def send(self, event: dict[str, Any] | str) -> None:
-        """To every browser: an object, or its JSON."""
+        """Send an object, or its JSON, to every browser. A full queue is emptied first, and begins with a resync."""
         text = _text(event)
         for queue in self._queues:
             if queue.full():

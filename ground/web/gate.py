@@ -1,4 +1,4 @@
-"""How many connections are held, and how long one may send nothing: slow clients must not use up the descriptors.
+"""Limits on how many connections are held, and how long one may send nothing: slow clients must not use up descriptors.
 
 A connection waits while its request is not complete. Of those that wait the oldest is closed where an address or the
 server has too many, so that a client that asks at once is always answered, from the same address too.
@@ -83,7 +83,7 @@ class Gate:
             self._close(peer)
 
     def _close(self, peer: Peer) -> None:
-        """It counts no more; its descriptor is freed when the event loop sees its end."""
+        """Shut a connection down and count it no more; its descriptor is freed when the event loop sees its end."""
         held = self._held.pop(peer)
         self.closed += 1
         now_s = time.monotonic()
@@ -104,7 +104,6 @@ class _Connection(socket.socket):
     peer: Peer
 
     def close(self) -> None:
-        """As any socket."""
         self.gate.gone(self, self.peer)
         super().close()
 
@@ -132,12 +131,12 @@ class GatedProtocol(H11Protocol):
     _phase: tuple[object, str] = (None, "headers")
 
     def data_received(self, data: bytes) -> None:
-        """As in uvicorn; also notes how far the request is."""
+        """Extend uvicorn's method: note how far the request is."""
         super().data_received(data)
         self._note()
 
     def on_response_complete(self) -> None:
-        """As in uvicorn; then it waits for the next request."""
+        """Extend uvicorn's method: the connection waits for the next request from now on."""
         super().on_response_complete()
         self._note()
 
@@ -163,7 +162,7 @@ class LoggedOnce(logging.Filter):
         self._logged_s: dict[object, float] = {}
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Whether it is written."""
+        """Return whether to write the record: the same message at most once in LOG_AGAIN_S."""
         key, now_s = str(record.msg)[:80], time.monotonic()
         if now_s - self._logged_s.get(key, -LOG_AGAIN_S) < LOG_AGAIN_S:
             return False
@@ -174,7 +173,7 @@ class LoggedOnce(logging.Filter):
 
 
 def gate_for_this_process() -> Gate:
-    """As many connections as the process has descriptors for."""
+    """Make a gate for as many connections as the process has descriptors for, 4000 at most."""
     try:
         import resource  # noqa: PLC0415  not on Windows
     except ImportError:

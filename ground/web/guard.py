@@ -1,4 +1,4 @@
-"""Who may talk to the server: Host and Origin are checked, a token is asked for, and every answer has its headers.
+"""Access to the server: Host and Origin are checked, a token is asked for, and every answer has its headers.
 
 A page of another origin in the same browser, and a name that is made to resolve to this machine (DNS rebinding), are
 refused before anything is read. Addresses and `localhost` cannot be rebound and are allowed as hosts; names only if
@@ -50,7 +50,7 @@ class Rules:
         )
 
     def allows_host(self, header: str) -> bool:
-        """Whether a Host header has an allowed name of this server, not another name that leads to it."""
+        """Return whether a Host header has an allowed name of this server, not another name that leads to it."""
         found = _HOST.match(header)
         if found is None:
             return False
@@ -123,7 +123,7 @@ class Guard:
         return None
 
     def _role(self, headers: dict[str, str]) -> str:
-        """Whose token a request has; empty for none. Where no token is asked for everybody is an operator."""
+        """The role whose token a request has; empty for none. Where no token is asked for everybody is an operator."""
         if not self._rules.token:
             return OPERATOR
         scheme, _, token = headers.get("authorization", "").partition(" ")
@@ -185,7 +185,7 @@ def _only_looks(scope: Scope) -> bool:
 
 
 def is_loopback(address: str) -> bool:
-    """Whether only this machine reaches an address."""
+    """Return whether only this machine reaches an address."""
     if address == "localhost":
         return True
     try:

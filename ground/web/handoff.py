@@ -79,7 +79,7 @@ def handoff_router(context: ServerContext) -> APIRouter:
 
 
 def up(metres: float) -> float:
-    """To a tenth, never smaller than it is: the stated accuracy is never better than the known one."""
+    """The length rounded up to a tenth: the stated accuracy is never better than the known one."""
     return math.ceil(metres * 10.0 - 1e-9) / 10.0
 
 
@@ -151,7 +151,7 @@ def _moment(text: str) -> str:
 
 
 def _author(mark: Mark) -> str:
-    """Who, and when that was: another moment than that of the sighting."""
+    """The author of a mark and the moment it was made, which is another one than that of the sighting."""
     made = "" if mark.pin is None else _moment(time_utc(mark.pin.created_unix_ns))
     return ", ".join(part for part in (mark.who or "no name given", made) if part)
 

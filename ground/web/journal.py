@@ -1,4 +1,4 @@
-"""What crosses the link, kept on the ground's disk: a server that is started again has the last hour back.
+"""The journal of the link on the ground's disk: a server that is started again has the last hour back.
 
 The files are those of `pc-ground record`: anything that reads recordings reads them. Old ones make room for new ones.
 """
@@ -39,7 +39,7 @@ class Journal:
 
     @property
     def error(self) -> str:
-        """Why nothing is kept just now, in a line; empty while all is well."""
+        """The reason why nothing is kept just now, in a line; empty while all is well."""
         return self._thread.trouble
 
     def take(self, key: str, payload: bytes) -> None:
@@ -58,7 +58,7 @@ class Journal:
             yield path, max(time.time() - written_s, 0.0), _messages(path)
 
     def close(self) -> None:
-        """What was taken is on the disk."""
+        """Write what was taken to the disk, and end."""
         self._thread.close()
         self._recorder.__exit__(None, None, None)
 

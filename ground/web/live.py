@@ -47,7 +47,7 @@ SILENT_SETS = 30  # without a picture among them, before it is reported
 
 
 class _Received:
-    """Of one vehicle: what came when."""
+    """The messages received of one vehicle: sizes and times of sets, the newest status, a version that counts."""
 
     def __init__(self) -> None:
         self.version = 0
@@ -115,7 +115,7 @@ class LiveSource:
             return 0 if (known := self._received.get(vehicle)) is None else known.version
 
     def frames(self, vehicle: str, newest: int | None = None) -> list[FrameRow]:
-        """What was received of the session that runs."""
+        """The received pictures of the session that runs."""
         _, cache = self._of(vehicle)
         if cache is None:
             return []
@@ -128,7 +128,7 @@ class LiveSource:
         ]
 
     def feature_set(self, vehicle: str, session: int | None, frame: int) -> FeatureSet | None:
-        """What was received; else the aircraft is asked, which may take seconds."""
+        """The set as received; else the aircraft is asked, which may take seconds."""
         endpoint, cache = self._of(vehicle)
         if cache is None:
             return None
@@ -138,7 +138,7 @@ class LiveSource:
         return found if found is not None and (session is None or found.session == session) else None
 
     def picture(self, vehicle: str, session: int | None, frame: int) -> Picture | None:
-        """That of a keyframe, if it came over the link."""
+        """The picture of a keyframe, if it came over the link."""
         if session is None:
             entries = self._entries(vehicle)
             session = entries[-1].item.session if entries else 0
@@ -146,12 +146,12 @@ class LiveSource:
         return None if found is None else Picture(found.content, found.media_type)
 
     def age_s(self, feature_set: FeatureSet) -> float | None:
-        """From when its vehicle's sets were received."""
+        """The age that counts from when its vehicle's sets were received; None for an unknown vehicle."""
         _, cache = self._of(feature_set.vehicle)
         return None if cache is None else cache.age_of(feature_set)
 
     def report(self, vehicle: str) -> VehicleReport:
-        """How a vehicle is, as it reports and as it is received."""
+        """The state of a vehicle, as it reports and as it is received."""
         _, cache = self._of(vehicle)
         now_s = time.monotonic()
         with self._lock:
@@ -178,7 +178,7 @@ class LiveSource:
         )
 
     def unfollowed(self, vehicle: str) -> str:
-        """By which way it is received, and what it reports of itself."""
+        """The reason from the way by which it is received, or from what it reports of itself."""
         endpoint, cache = self._of(vehicle)
         if cache is None:
             return f"no vehicle {vehicle!r} is known here"
@@ -215,7 +215,7 @@ class LiveSource:
         return lines
 
     def no_pictures(self) -> str:
-        """Where sets have come for a while and no picture among them."""
+        """The advice once sets have come for a while and no picture among them."""
         rows = [row for vehicle in self.vehicles() for row in self.frames(vehicle, SILENT_SETS)]
         if len(rows) < SILENT_SETS or any(row.has_picture for row in rows):
             return ""
@@ -233,7 +233,7 @@ class LiveSource:
             cache.close()
 
     def _read_journal(self, thread: SupervisedThread) -> None:
-        """What earlier runs of this server received in the last hour, the newest file first."""
+        """Take what earlier runs of this server received in the last hour, the newest file first."""
         takes: dict[str, Callable[[str, bytes], object]] = {
             names.PICTURE_ENCODING: self._pictures.take,
             names.TRACK_ENCODING: self.tracks.take,

@@ -184,7 +184,7 @@ def _interrupt(*_: object) -> None:
 
 
 def _last_line(log: Path) -> str:
-    """What the aircraft's program printed last."""
+    """The last line that the aircraft's program printed, without its log prefix."""
     lines = [line for line in log.read_text(encoding="utf-8", errors="replace").splitlines() if line.strip()]
     return LOG_PREFIX.sub("", lines[-1]) if lines else f"nothing in its log, {log}"
 

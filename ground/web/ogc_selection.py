@@ -1,4 +1,4 @@
-"""Which pins a request of OGC API - Features means: bbox, datetime, limit and page. Values and refusals, no HTTP."""
+"""Selection of pins by a request of OGC API - Features: bbox, datetime, limit and page. Values and refusals only."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Selection:
 
     @classmethod
     def of(cls, asked: Mapping[str, str]) -> Selection:
-        """From a query string's parameters. Raises WrongParameter."""
+        """Read the parameters of a query string. Raises WrongParameter."""
         unknown = sorted(set(asked) - set(PARAMETERS))
         if unknown:
             raise WrongParameter(f"no parameter {unknown[0][:40]!r}; there are {', '.join(PARAMETERS)}")

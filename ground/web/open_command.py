@@ -151,7 +151,7 @@ def _import_words(args: argparse.Namespace) -> list[str]:
 
 
 def _name(args: argparse.Namespace, importing: Sequence[str]) -> str:
-    """Of the flight's folder: another for other files or settings."""
+    """The name of the flight's folder: another for other files or settings."""
     files = [args.input, *([args.log] if args.log is not None else [])]
     if args.input.is_dir():
         files += _files_below(args.input)

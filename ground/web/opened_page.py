@@ -1,4 +1,4 @@
-"""What `pc-ground open` and `live` share: `pc-onboard` as a program of its own, and a page that opens by itself."""
+"""Parts that `pc-ground open` and `live` share: `pc-onboard` as a program of its own, and a page that opens."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def web_options(args: argparse.Namespace, shown: Sequence[str]) -> argparse.Name
 
 
 def _free_port(asked: int | None) -> int:
-    """As it was asked; else the page's own, or any where that is taken."""
+    """The port that was asked for; else the page's own, or 0 (any) where that is taken."""
     if asked is not None:
         return asked
     with socket.socket() as probe:

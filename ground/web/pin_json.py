@@ -84,7 +84,7 @@ def _fused(fused: Fused) -> dict[str, Any]:
 
 
 def place_json(place: Place) -> dict[str, Any]:
-    """Where something is, and how sure."""
+    """The JSON object of a place and its accuracy."""
     return {
         "lat_deg": place.lat_deg,
         "lon_deg": place.lon_deg,

@@ -58,14 +58,14 @@ class RecordedSource:
         ]
 
     def feature_set(self, vehicle: str, session: int | None, frame: int) -> FeatureSet | None:
-        """As of the recording; a damaged set counts as none, and `damage` reports it."""
+        """The set as recorded; a damaged one counts as none, and `damage` reports it."""
         if vehicle not in self._sessions or (session is not None and session != self._sessions[vehicle]):
             return None
         with self._lock:
             return self._kept(vehicle, frame)
 
     def picture(self, vehicle: str, session: int | None, frame: int) -> Picture | None:
-        """As it was recorded: on board, or as it crossed the link."""
+        """The picture as recorded on board, or else as it crossed the link."""
         if vehicle not in self._sessions or (session is not None and session != self._sessions[vehicle]):
             return None
         found = self._pictures.picture(vehicle, frame)
@@ -84,7 +84,7 @@ class RecordedSource:
         return self._recording.age_s(feature_set)
 
     def report(self, vehicle: str) -> VehicleReport:
-        """Where the recording ends."""
+        """The state of a vehicle at the end of the recording."""
         rows = self._recording.rows(vehicle)
         newest = max(rows, key=lambda row: row[2])
         status = self._pictures.status(vehicle)
@@ -102,7 +102,7 @@ class RecordedSource:
         raise LinkError(self.unfollowed(vehicle))
 
     def damage(self) -> list[str]:
-        """Where a file is damaged, and the sets that cannot be read."""
+        """The damaged places of files, and the sets that cannot be read."""
         return [*self._recording.damage, *self._unreadable]
 
     def no_pictures(self) -> str:

@@ -51,12 +51,12 @@ class RecordedPictures:
             self._index(file, data)
 
     def has(self, vehicle: str, frame: int) -> bool:
-        """Whether a frame's picture is there."""
+        """Return whether a frame's picture is there."""
         known = self._vehicles.get(vehicle)
         return known is not None and frame in known.by_frame
 
     def has_any(self, vehicle: str) -> bool:
-        """Whether any picture of a vehicle is there."""
+        """Return whether any picture of a vehicle is there."""
         known = self._vehicles.get(vehicle)
         return known is not None and bool(known.by_frame)
 

@@ -70,7 +70,7 @@ class Refill:
         self._thread.close()
 
     def _task(self, vehicle: str) -> _Task | None:
-        """What is left to ask of a vehicle; of a session that begins while this listens, everything again."""
+        """The sets still to ask of a vehicle; of a session that begins while this listens, everything again."""
         newest = self._newest(vehicle)
         if newest is None:
             return None

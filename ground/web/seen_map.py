@@ -1,4 +1,4 @@
-"""What the page's aircraft have seen of the ground: counted from the source's sets in a thread, once anybody asks."""
+"""The ground that the page's aircraft have seen: counted from the source's sets in a thread, once anybody asks."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class SeenMap:
 
     @property
     def trouble(self) -> str:
-        """Why it cannot be counted, in a line; empty if nothing is wrong."""
+        """The reason why it cannot be counted, in a line; empty if nothing is wrong."""
         return "" if self._thread is None else self._thread.trouble
 
     def count(self, within_s: float = BATCH_S) -> None:
@@ -87,7 +87,7 @@ class SeenMap:
             return seen_tile(self._seen, z, x, y, by, self._now_s())
 
     def at(self, lat_deg: float, lon_deg: float) -> dict[str, object]:
-        """Which pictures have seen a place: how many, since when, how finely; and some of them by name."""
+        """The pictures that have seen a place: how many, since when, how finely; and some of them by name."""
         with self._lock:
             cell = self._seen.cell(lat_deg, lon_deg)
             finest = None if cell is None else self._seen.finest(cell)
@@ -104,7 +104,7 @@ class SeenMap:
         }
 
     def _now_s(self) -> float:
-        """By the aircraft's clock; of a recording, its end."""
+        """The Unix time, s, by the aircraft's clock; of a recording, its end."""
         capture_unix_ns, noticed_s = self._newest
         return capture_unix_ns * 1e-9 + (time.monotonic() - noticed_s if self._source.is_live else 0.0)
 

@@ -1,4 +1,4 @@
-"""What was seen, as tiles of a web map: PNG, coloured by how long ago or by how often; the page has the words."""
+"""Seen ground as tiles of a web map: PNG, coloured by how long ago or by how often; the page has the words."""
 
 from __future__ import annotations
 

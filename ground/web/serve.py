@@ -148,7 +148,7 @@ def _rules(args: argparse.Namespace, tokens: Tokens, tiles: Tiles | None, is_sec
 
 
 def _announce(args: argparse.Namespace, port: int, tokens: Tokens, is_secure: bool, source: Source, pins: str) -> None:
-    """Where the page is: once, on standard output, with a code for the tablet's camera where others may reach it."""
+    """Print the page's address once, on stdout, with a code for the tablet's camera where others may reach it."""
     scheme = "https" if is_secure else "http"
     host = args.name[0] if args.name else link_host(args.host)
     page = f"{scheme}://{host}:{port}/"

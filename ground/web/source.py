@@ -1,4 +1,4 @@
-"""Where a page's pictures and sets come from: one interface for what is received and for what was recorded."""
+"""Sources of a page's pictures and sets: one interface for what is received and for what was recorded."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Source(Protocol):
     spots: ReceivedSpots
 
     def vehicles(self) -> list[str]:
-        """Who is there, sorted."""
+        """The names of the vehicles that are there, sorted."""
 
     def version(self, vehicle: str) -> int:
         """A number that grows whenever the pictures or sets of a vehicle change."""
@@ -80,22 +80,22 @@ class Source(Protocol):
         """
 
     def age_s(self, feature_set: FeatureSet) -> float | None:
-        """How old a set's picture is now; of a recording, how much older than its newest one."""
+        """Seconds since a set's picture was taken; of a recording, until its newest one was."""
 
     def report(self, vehicle: str) -> VehicleReport:
-        """How a vehicle is."""
+        """The state of a vehicle."""
 
     def unfollowed(self, vehicle: str) -> str:
-        """Why nothing that is clicked can be followed by a vehicle now; empty where it may be asked."""
+        """The reason why a vehicle can follow nothing that is clicked now; empty where it may be asked."""
 
     def follow(self, vehicle: str, request: TrackRequest) -> dict[str, object]:
-        """What a vehicle answers to a question about tracks. Raises LinkError with its reason, or if it gives none."""
+        """The answer of a vehicle to a question about tracks. Raises LinkError with its reason, or if it gives none."""
 
     def damage(self) -> list[str]:
-        """What could not be read, a line each."""
+        """The parts that could not be read, a line each."""
 
     def no_pictures(self) -> str:
-        """Why the page has no picture to show, and what helps; empty where it has some, or may get some yet."""
+        """The reason why the page has no picture, and what helps; empty where it has some, or may get some yet."""
 
     def close(self) -> None:
         """Close links and files."""

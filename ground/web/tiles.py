@@ -32,7 +32,7 @@ Bounds = tuple[float, float, float, float]
 
 @dataclass(frozen=True)
 class Tiles:
-    """Where tiles come from. `kind`: pmtiles, mbtiles, tilejson, template (a URL with {z}, {x} and {y}).
+    """The source of tiles. `kind`: pmtiles, mbtiles, tilejson, template (a URL with {z}, {x} and {y}).
 
     Of a URL the page itself reads zooms and bounds; a template has none.
     """
@@ -55,7 +55,7 @@ class Tiles:
 
 
 def open_tiles(source: str) -> Tiles:
-    """As the option specifies. Raises InputError for a file that holds no tiles, before anything is served."""
+    """Open the tiles that the option names. Raises InputError for a file that holds none, before anything is served."""
     if source.startswith(("http://", "https://")):
         ending = Path(source.split("?", maxsplit=1)[0]).suffix
         kind = {".pmtiles": "pmtiles", ".json": "tilejson"}.get(ending, "template")
@@ -103,7 +103,7 @@ def _mbtiles(path: Path) -> Tiles:
 
 
 def _stated_bounds(text: str) -> Bounds | None:
-    """As the metadata have them: west,south,east,north."""
+    """The bounds as the metadata have them: west,south,east,north. None if they cannot be read."""
     try:
         west, south, east, north = (float(part) for part in text.split(","))
     except ValueError:
@@ -118,7 +118,7 @@ def _bounds(west: float, south: float, east: float, north: float) -> Bounds | No
 
 
 def _tiles_bounds(zoom: int, west: int, east: int, south: int, north: int) -> Bounds | None:
-    """Of columns and rows, which count from the south."""
+    """The bounds of columns and rows of tiles; rows count from the south."""
     n = float(1 << zoom)
 
     def latitude(row: int) -> float:

@@ -1,4 +1,4 @@
-"""By how much a video's clock is ahead of the sets' capture times, and whether a frame is a set's picture. NumPy only.
+"""The lead of a video's clock over the sets' capture times, and whether a frame is a set's picture. NumPy only.
 
 A set states where in its picture corners were tracked. The frame that shows its picture has corners at these pixels,
 and others have not: neither frames of another time, nor the same frame shifted by some pixels. All measures are in
@@ -30,19 +30,19 @@ _RING = RING_PX * np.array([[np.cos(a), np.sin(a)] for a in np.arange(8) * np.pi
 
 
 def corners_at(strength: NDArray[np.int8], uv_px: Array, camera_size_px: tuple[int, int]) -> float:
-    """How far above chance the frame's corner response is at a set's pixels (N, 2) of its camera; 0 for few pixels."""
+    """The frame's corner response at a set's pixels (N, 2) of its camera, above chance, in sigmas; 0 for few pixels."""
     return _mean_at(strength, _places(strength, uv_px, camera_size_px))
 
 
 def is_seen(strength: NDArray[np.int8], uv_px: Array, camera_size_px: tuple[int, int]) -> bool:
-    """Whether a frame has its corners at a set's pixels, and clearly fewer when all pixels are shifted a little."""
+    """Return whether a frame has its corners at a set's pixels, and clearly fewer at pixels shifted a little."""
     places = _places(strength, uv_px, camera_size_px)
     here = _mean_at(strength, places)
     return here >= CLEAR and here - max(_mean_at(strength, places + step) for step in _RING) >= CLEAR
 
 
 def best_time_s(times_s: Array, corners: Array) -> float | None:
-    """When a set's picture was in the video, by its `corners_at` of all frames (F,); None where that is not clear.
+    """The time of a set's picture in the video, by its `corners_at` of all frames (F,); None where that is not clear.
 
     It is not at either end (there the frame may be missing), and clearly ahead of all that are not near it.
     """
@@ -72,7 +72,7 @@ def nearest_within(times_s: Array, target_s: float, interval_s: float) -> int | 
 
 
 def is_ahead(times_s: Array, corners: Array, k: int) -> bool:
-    """Whether no frame near a chosen one is clearly the better one."""
+    """Return whether no frame near a chosen one is clearly the better one."""
     near = corners[np.abs(times_s - times_s[k]) <= NEAR_S]
     return float(np.max(near)) - float(corners[k]) < CLEAR
 
@@ -107,7 +107,7 @@ class DelayEstimate:
             self._votes = deque(last, maxlen=self._votes.maxlen)
 
     def forget(self) -> None:
-        """Of another opening of the video, or another session."""
+        """Drop all votes: they were of another opening of the video, or of another session."""
         self._votes.clear()
 
     def stated(self) -> Delay | None:

@@ -136,7 +136,7 @@ def corner_strength(image: NDArray[np.uint8]) -> NDArray[np.int8]:
 
 
 def to_jpeg(image: NDArray[np.uint8]) -> bytes:
-    """As it is kept and shown, with no side longer than MAX_SIDE_PX."""
+    """The JPEG that is kept and shown, with no side longer than MAX_SIDE_PX."""
     import cv2  # noqa: PLC0415
 
     height, width = image.shape[:2]

@@ -79,7 +79,7 @@ class LiveFootage:
         self._thread = WatchedThread("matching of the video", self._look, PERIOD_S)
 
     def has(self, session: int, frame: int) -> bool:
-        """Whether its frame was found, and is kept."""
+        """Return whether the set's frame was found, and is kept."""
         with self._lock:
             return (session, frame) in self._kept
 
@@ -216,7 +216,7 @@ class LiveFootage:
 
 
 def unsettled(stated: Delay | None, interval_s: float) -> str:
-    """What is missing, for people."""
+    """Explain for people why the delay is not known yet."""
     if stated is None or stated.pictures < MIN_VOTES:
         count = 0 if stated is None else stated.pictures
         return f"its delay is not known yet: found in {count} pictures of {MIN_VOTES} (or enter it: --video-delay)"

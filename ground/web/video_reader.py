@@ -27,9 +27,10 @@ LATE_S = 0.1
 
 
 class FrameClock:
-    """When frames were sent, from when they arrived and from the stream's own stamps: a network that holds frames
-    back and then delivers several at once does not make them later. Stamps that do not agree with the ground's clock
-    are not used.
+    """The times when frames were sent, from when they arrived and from the stream's own stamps.
+
+    A network that holds frames back and then delivers several at once does not make them later. Stamps that do not
+    agree with the ground's clock are not used.
     """
 
     def __init__(self) -> None:
@@ -38,7 +39,7 @@ class FrameClock:
         self._stamp_s = -np.inf
 
     def time_s(self, arrival_s: float, stamp_s: float) -> float:
-        """On the ground's clock; grows from frame to frame."""
+        """The time on the ground's clock when the frame was sent; grows from frame to frame."""
         if stamp_s <= self._stamp_s:  # none, or begun again
             self._last.clear()
         self._stamp_s = stamp_s
@@ -66,7 +67,7 @@ class VideoReader:
 
     @property
     def trouble(self) -> str:
-        """Why no frames come, as a text for users; empty if nothing is wrong."""
+        """The reason why no frames come, as a text for users; empty if nothing is wrong."""
         report = self._thread.report()
         return self._trouble if report.is_well else f"{self.name}: {report.last_error}; it is begun again"
 

@@ -1,4 +1,4 @@
-"""What a page shows of a set: its camera, its features with their ground places and paths, the footprint. No I/O.
+"""The view of a set on a page: its camera, its features with their ground places and paths, the footprint. No I/O.
 
 The camera goes along so that the page itself can draw a pin in any picture; `placed_in` is the same on this side, for
 finding the pictures that show a place.
@@ -148,7 +148,7 @@ def camera_place(s: FeatureSet) -> list[float] | None:
 
 
 def _shift_m(s: FeatureSet) -> float:
-    """From the set's datum to the ellipsoid, as `contract.locate` takes it: zero where that is not known."""
+    """The height to add to the set's datum for the ellipsoid, as in `contract.locate`: zero where that is not known."""
     known = s.height_datum is HeightDatum.AMSL and not np.isnan(s.undulation_m)
     return float(s.undulation_m) if known else 0.0
 
@@ -191,7 +191,7 @@ def _on_plane(s: FeatureSet, uv_px: Array) -> tuple[list[list[float]], NDArray[n
 
 
 def _paths(s: FeatureSet, uv_px: Array, earlier: Sequence[FeatureSet]) -> list[list[list[float]]]:
-    """Where each feature was seen in the pictures before, the nearest first, without a gap; empty for a new one.
+    """The pixels of each feature in the pictures before, the nearest first, without a gap; empty for a new one.
 
     The wire does not number features, so they are identified by their ground places, each seen from this picture.
     """

@@ -19,10 +19,10 @@ class Footage(Protocol):
     version: int  # grows by how many of the newest rows may have changed
 
     def has(self, session: int, frame: int) -> bool:
-        """Whether a set has a frame of the video."""
+        """Return whether a set has a frame of the video."""
 
     def picture(self, session: int, frame: int) -> bytes | None:
-        """That frame, as JPEG."""
+        """The frame of a set, as JPEG."""
 
     def notes(self) -> list[str]:
         """The video's state, as a text for users."""
@@ -97,7 +97,7 @@ class WithVideo:
 
 
 def aspect_trouble(video_size_px: tuple[int, int], camera_size_px: tuple[int, int]) -> str:
-    """Why a video cannot be the camera's pictures, by its shape; empty if it can."""
+    """The reason why a video's shape rules it out as the camera's pictures; empty if it does not."""
     (w, h), (cw, ch) = video_size_px, camera_size_px
     if abs(w * ch / (h * cw) - 1.0) <= MAX_ASPECT_ERROR:
         return ""
