@@ -422,7 +422,7 @@ class SampledTracker(Tracker):
         """Whether a picture has been made the keyframe."""
         return self._key
 
-    def track(self, image: NDArray[np.uint8], predicted: Array | None) -> Tracks:
+    def track(self, image: NDArray[np.uint8], predicted: Array | None, sigma_px: float | None = None) -> Tracks:
         """Every feature of the keyframe that this picture sees; nothing where too few are visible."""
         self._frame = int(image.view(np.uint16)[0, 0])
         if not self._key or not len(self._ids):

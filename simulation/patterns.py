@@ -14,6 +14,7 @@ Image = NDArray[np.float32]
 
 SIZE = 2048
 COUNTRY_SIZE = 1024
+STRIPE_TEXELS = 64.0  # from row to row
 
 
 def periodic_noise(rng: np.random.Generator, size: int, shortest: float, longest: float, slope: float) -> Image:
@@ -165,8 +166,8 @@ def draw_wave_train(rng: np.random.Generator, wavelength: float) -> Image:
 
 
 def draw_stripes() -> Image:
-    """Crop rows crossed by wider rows, the same everywhere: every corner has an exact twin 8 m away."""
-    s = np.arange(512, dtype=np.float32) * np.float32(2.0 * np.pi / 64.0)
+    """Crop rows crossed by stronger ones, the same everywhere: every corner has an exact twin a row away."""
+    s = np.arange(512, dtype=np.float32) * np.float32(2.0 * np.pi / STRIPE_TEXELS)
     rows = np.where(np.sin(s) > 0, 0.12, -0.12).astype(np.float32)
     canvas = np.tile(rows, (512, 1)) + np.float32(0.6) * np.tile(rows, (512, 1)).T
     wrapped = cv2.GaussianBlur(np.pad(canvas, 16, mode="wrap"), (0, 0), 2.0)

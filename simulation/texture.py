@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from contract.errors import InputError
 from simulation.kept_drawings import kept
 from simulation.patterns import (
+    STRIPE_TEXELS,
     draw_country,
     draw_grain,
     draw_land,
@@ -41,8 +42,8 @@ GRAVITY_M_S2 = 9.81
 @dataclass(frozen=True)
 class TextureSpec:
     """`style`: "land"; "water" (two patterns of waves that move through each other); "sea" (waves of many lengths
-    before one wind, each at its own speed); "stripes" (repeats exactly); "plain" (nothing to track); "traffic" (land,
-    with vehicles under way, one in `vehicle_spacing_m` of each lane: on a twentieth of it).
+    before one wind, each at its own speed); "stripes" (rows `row_spacing_m` apart that repeat exactly); "plain"
+    (nothing to track); "traffic" (land, with vehicles, one in `vehicle_spacing_m` of each lane: on a twentieth of it).
 
     `contrast` scales every brightness difference: 1 is pasture in sunlight, 0.1 is snow under cloud.
     """
@@ -51,6 +52,7 @@ class TextureSpec:
     contrast: float = 1.0
     seed: int = 0
     vehicle_spacing_m: int = 64
+    row_spacing_m: float = 8.0
 
     def __post_init__(self) -> None:
         if self.style not in STYLES:
@@ -59,6 +61,8 @@ class TextureSpec:
             raise InputError(f"texture contrast {self.contrast} must lie between 0 and 3")
         if self.vehicle_spacing_m not in (16, 32, 64, 128):
             raise InputError(f"vehicle spacing {self.vehicle_spacing_m} m must be 16, 32, 64 or 128")
+        if not 0.2 <= self.row_spacing_m <= 50.0:
+            raise InputError(f"row spacing {self.row_spacing_m} m must lie between 0.2 and 50")
 
 
 class Tile:
@@ -119,7 +123,7 @@ class Layer:
 
 
 @lru_cache(maxsize=4)
-def _layers(style: str, seed: int) -> tuple[Layer, ...]:
+def _layers(style: str, seed: int, row_spacing_m: float) -> tuple[Layer, ...]:
     """Drawing land takes three seconds; the last four grounds are kept, of 73 MB at most."""
     rng = np.random.default_rng([seed, 202])
     bearing = rng.uniform(0.0, 2.0 * np.pi, 4)
@@ -147,7 +151,7 @@ def _layers(style: str, seed: int) -> tuple[Layer, ...]:
             )
         )
     if style == "stripes":
-        return (Layer(Tile(draw_stripes(), 0.125, bearing[0]), still),)
+        return (Layer(Tile(draw_stripes(), row_spacing_m / STRIPE_TEXELS, bearing[0]), still),)
     return ()
 
 
@@ -164,7 +168,7 @@ class Texture:
 
     def __init__(self, spec: TextureSpec) -> None:
         self.spec = spec
-        self.layers = _layers("land" if spec.style == "traffic" else spec.style, spec.seed)
+        self.layers = _layers("land" if spec.style == "traffic" else spec.style, spec.seed, spec.row_spacing_m)
         self.traffic = _traffic(spec.seed, 4 * spec.vehicle_spacing_m) if spec.style == "traffic" else None
 
     def albedo(self, origin_m: Array, x_m: Image, y_m: Image, footprint_m: Image, time_s: float = 0.0) -> Image:

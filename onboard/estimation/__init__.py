@@ -11,6 +11,7 @@ Public:
   `turned`, `with_attitude`
 - `moved_optics`: `MOVED`
 - `platform_states`: `QUANTITIES`, `present`, `BORESIGHT`, `OFFSET`, `DELAY`, the sources' names
+- `prediction_error`: `prediction_sigma_px`, `turn_between`, `way_between`
 - `reobservation`: `RelativeVariance`
 - `resection`: `Resection`, `Sighted`, `resect`
 - `rolling_shutter`: `Moving`, `Sweep`, `rates_between`

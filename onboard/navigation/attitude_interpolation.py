@@ -6,6 +6,7 @@ then 0.06 deg off at the 95th percentile), else by rotation at constant rate (0.
 
 from __future__ import annotations
 
+import bisect
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 from contract.feature_set import Status
 from contract.rotations import exp_so3, log_so3, right_jacobian_inverse
+from onboard.navigation.limits import PATIENCE_NS
 from onboard.navigation.time_series import Series
 
 Array = NDArray[np.float64]
@@ -120,6 +122,51 @@ class Attitudes(Series[Orientation]):
                 return None
             left, right = grown
         return self._mean_rate(left, right) if self.seconds(left, right) <= self.max_gap_s else None
+
+    def turned(self, start_ns: int, end_ns: int) -> Array | None:
+        """The turn R_start_end (3, 3), body axes, by integrated rates (trapezium rule); None where any is missing.
+
+        Attitudes' own errors are not in it.
+        """
+        if end_ns <= start_ns or any(isinstance(self.joined(t), Status) for t in (start_ns, end_ns)):
+            return None
+        first, last = bisect.bisect_right(self.stamps_ns, start_ns), bisect.bisect_left(self.stamps_ns, end_ns)
+        inner = self.values[first:last]
+        measured = [self._measured_rate(start_ns), *(a.rate_body_rad_s for a in inner), self._measured_rate(end_ns)]
+        rates = [rate for rate in measured if rate is not None]
+        seconds = np.diff(np.array([start_ns, *self.stamps_ns[first:last], end_ns], np.int64)) / 1e9
+        if len(rates) < len(measured) or seconds.max() > self.max_gap_s:
+            return None
+        out = np.eye(3)
+        for one, other, step_s in zip(rates, rates[1:], seconds, strict=False):
+            out = out @ exp_so3(0.5 * step_s * (one + other))
+        return out
+
+    def turned_sigma(self, start_ns: int, end_ns: int, white_rad: float) -> float:
+        """One sigma (rad, of each axis) of that turn: what rates miss between messages, and their bias. (1.10)
+
+        `white_rad`: one sigma of an attitude, the white part, by which the bias shows over the last seconds.
+        """
+        seconds = (end_ns - start_ns) / 1e9
+        missed = self.rate_sigma_at(end_ns, 0.0) or 0.0
+        first = bisect.bisect_left(self.stamps_ns, end_ns - PATIENCE_NS)
+        last = bisect.bisect_right(self.stamps_ns, end_ns) - 1
+        if last <= first:
+            return np.inf
+        span_s = self.seconds(first, last)
+        by_rates = self.turned(self.stamps_ns[first], self.stamps_ns[last])
+        if by_rates is None or span_s < seconds:
+            return np.inf
+        by_attitudes = self.values[first].R_ned_body.T @ self.values[last].R_ned_body
+        off_rad = float(np.linalg.norm(log_so3(by_rates.T @ by_attitudes))) / np.sqrt(3.0)
+        bias_rad_s = np.hypot(off_rad, np.sqrt(2.0) * white_rad) / span_s
+        return float(np.hypot(missed * np.sqrt(seconds * self.spacing_ns / 1e9), bias_rad_s * seconds))
+
+    def _measured_rate(self, moment_ns: int) -> Array | None:
+        bracket = self.bracket(moment_ns)
+        if bracket is None or any(self.values[i].rate_body_rad_s is None for i in bracket):
+            return None
+        return self.rate_at(moment_ns)
 
 
 @lru_cache(maxsize=512)  # a window asks again for most of what the one before it asked for, (10.3)

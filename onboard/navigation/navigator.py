@@ -336,6 +336,14 @@ class Navigation:
         """One sigma (rad/s) of that rate, (1.8); None if it is not measured, but the difference of noisy attitudes."""
         return None if self._uses_gimbal else self._attitudes.rate_sigma_at(stamp_ns, jitter_s)
 
+    def turned(self, start_ns: int, end_ns: int, white_rad: float) -> tuple[Array, float] | None:
+        """The turn (3, 3) between two moments by the vehicle's rates alone, and one sigma (rad) of it, (1.10).
+
+        Axes of `NavState.R_enu_body`; None where rates are not measured, or the camera is on a gimbal.
+        """
+        turn = None if self._uses_gimbal else self._attitudes.turned(start_ns, end_ns)
+        return None if turn is None else (turn, self._attitudes.turned_sigma(start_ns, end_ns, white_rad))
+
     def velocity_at(self, nav: NavState) -> Array:
         """Velocity (3,), ENU m/s, of a state: measured, else by the positions about it; 0 where nothing is known."""
         if nav.velocity_enu_m_s is not None:

@@ -33,18 +33,27 @@ def ground_so_far(window: Window, nav: NavState) -> Array | None:
     return None
 
 
-def predict_motion(window: Window, navigation: Navigation, was_nav: NavState, nav: NavState) -> Array | None:
+def predict_motion(
+    window: Window,
+    navigation: Navigation,
+    was_nav: NavState,
+    nav: NavState,
+    way_enu_m: Array | None = None,
+    R_now_was: Array | None = None,
+) -> Array | None:
     """Pixel homography (3, 3) from the newest keyframe to `nav`'s picture; None without attitude or ground.
 
-    `was_nav` is the keyframe's state, looked up with the same time offset as `nav`.
+    `was_nav` is the keyframe's state, looked up with the same time offset as `nav`; `way_enu_m` (3,) and
+    `R_now_was` (3, 3) are the way and the camera's turn between both, where known better than by position and attitude.
     """
     plane, R_was, R_now = ground_so_far(window, nav), window.attitude_guess(was_nav), window.attitude_guess(nav)
     if plane is None or R_was is None or R_now is None:
         return None
     camera, last = window.camera, window.keyframes[-1]
     first = Pose(last.R_cam_enu, last.centre_enu_m)
-    moved = nav.position_enu_m - was_nav.position_enu_m
-    second = Pose(R_now @ R_was.T @ last.R_cam_enu, last.centre_enu_m + moved)
+    moved = nav.position_enu_m - was_nav.position_enu_m if way_enu_m is None else way_enu_m
+    turn = R_now @ R_was.T if R_now_was is None else R_now_was
+    second = Pose(turn @ last.R_cam_enu, last.centre_enu_m + moved)
     H = predict_homography(camera, first, second, plane)
     was, now = last.observation.moving, moving_at(window, navigation, nav)
     if H is None or was is None or now is None:

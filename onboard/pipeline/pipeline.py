@@ -24,6 +24,7 @@ from onboard.config.schema import Config
 from onboard.estimation.keyframe import Observation, observation, seen_with
 from onboard.estimation.moved_optics import MOVED
 from onboard.estimation.platform_states import OFFSET
+from onboard.estimation.prediction_error import prediction_sigma_px, turn_between, way_between
 from onboard.estimation.sliding_window import Window
 from onboard.estimation.solver_executor import Inline, Worker, timed_adjust
 from onboard.events.types import Event, Frame, Zoom
@@ -99,6 +100,7 @@ class Pipeline:
         self._overlap = 1.0  # of the newest picture with the newest keyframe, as telemetry predicts it
         self._unsolved = Status.STARTING  # why there is no solution yet: as the last window was refused
         self._last_nav: NavState | None = None
+        self._followed: NavState | None = None  # of the last picture that was followed by a prediction, or the keyframe
         self._frame: LocalFrame | None = None  # the navigation frame that the window's states are in
         self._statistics = RunStatistics(config)
 
@@ -285,12 +287,16 @@ class Pipeline:
         predicted = None if self.mount_selection.is_open(nav) else self._predict(nav)
         was = self.window.keyframes[-1].nav if self.window.keyframes else None
         self._overlap = self._statistics.note_overlap(self.camera, predicted, was, nav)
-        tracks = self.tracker.track(image, predicted)
+        sigma_px, plane = None, ground_so_far(self.window, nav)
+        if predicted is not None and plane is not None and self.tracker.is_repeating and self._followed is not None:
+            sigma_px = prediction_sigma_px(self.window, self.navigation, self._followed, nav, plane)
+        tracks = self.tracker.track(image, predicted, sigma_px)
+        if predicted is not None and len(tracks):
+            self._followed = nav
         if predicted is not None and len(tracks) and self._stillness.is_old(tracks, predicted, nav.stamp_ns):
             return Status.BAD_PICTURE
         if len(tracks) < MIN_TRACKS:
             return tracks
-        plane = ground_so_far(self.window, nav)
         if was is not None and plane is not None:
             self.mount_selection.weigh(was, nav, plane, tracks.keyframe_uv_px, tracks.uv_px)
         if predicted is not None:
@@ -311,12 +317,18 @@ class Pipeline:
         if LIKELY_SIGMAS * missed_rad > MAX_PREDICTION_MISS:
             return None
         was = last.nav if last.nav_offset_s == self._offset_s else self._state_at(last.nav.stamp_ns)
-        return predict_motion(self.window, self.navigation, last.nav if isinstance(was, Status) else was, nav)
+        if isinstance(was, Status):
+            was = last.nav
+        between = self.window, self.navigation, was, nav
+        if self.tracker.is_repeating:
+            return predict_motion(*between, way_between(*between)[0], turn_between(*between)[0])
+        return predict_motion(*between)
 
     def _make_keyframe(self, frame: Frame, nav: NavState, tracks: Tracks, reason: Status | None = None) -> None:
         self._adopt()
         with self._statistics.timed("tracking"):
             ids, uv = self.tracker.promote(tracks)
+        self._followed = nav
         self._stillness.begin(ids, uv, frame.stamp_ns)
         look_up_again(self.window, self.navigation)
         seen = observation(self.window.camera, ids, uv, moving_at(self.window, self.navigation, nav))

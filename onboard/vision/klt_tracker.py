@@ -52,10 +52,12 @@ CROWDED = 0.7  # of the least distance of new features: nearer ones leave the re
 CALM_LEVELS = ((1.5, 0), (4.0, 1), (8.0, 2))
 CALM_SHARE = 0.8  # of the features that should be on the picture; with fewer found again the full search follows
 ROUNDS = 5  # of reweighting, at most
-# One sigma of telemetry's prediction of the motion between two pictures: a share of that motion (at first the ground's
-# height is known no better) and attitude noise, at 640 px width.
+# One sigma of telemetry's prediction of the motion between two pictures where only its order counts: a share of that
+# motion (at first the ground's height is known no better) and attitude noise, at 640 px width.
 PREDICTED_SHARE = 0.15
 PREDICTED_PX = 3.0
+# On rows: how many sigmas of the prediction a search reaches; and a thousand to one, against the next row.
+REACH_SIGMAS, SURE_LOG_ODDS = 3.0, 6.9
 GATE_PX = 4.0  # least deviation from the neighbours' motion that condemns a track, at 640 px width
 
 
@@ -86,6 +88,15 @@ class Tracks:
         for k in range(1, len(self)):
             kept[k] = not np.any(kept[:k] & (apart_px[k, :k] < least_px))
         return replace(self, ids=self.ids[kept], uv_px=self.uv_px[kept], keyframe_uv_px=self.keyframe_uv_px[kept])
+
+
+def is_nearest(spacing_px: float, miss_px: float, sigma_px: float) -> bool:
+    """Return whether tracks that lie so far from their prediction are no row off, on rows this far apart. (4.5)
+
+    A miss that is larger than its sigma is evidence of a larger one.
+    """
+    log_odds = 0.5 * spacing_px * (spacing_px - 2.0 * miss_px) / max(sigma_px, miss_px, 1e-6) ** 2
+    return log_odds > SURE_LOG_ODDS
 
 
 class Tracker:
@@ -142,41 +153,37 @@ class Tracker:
         return self._picture is not None
 
     @property
+    def is_repeating(self) -> bool:
+        """True if the keyframe's ground repeats itself: its tracks may be off by a row."""
+        return self._repetition_px is not None
+
+    @property
     def keyframe_features(self) -> tuple[NDArray[np.int64], Array]:
         """Identifiers (N,) and pixels (N, 2) of the keyframe's features, tracked ones and new ones."""
         return self._ids, self._uv
 
-    def track(self, image: Picture, predicted: Array | None) -> Tracks:
-        """Look for the keyframe's features in a grey picture (H, W). `predicted`: H (3, 3) from keyframe, or None."""
-        tracks = self._find_again(image, predicted)
+    def track(self, image: Picture, predicted: Array | None, sigma_px: float | None = None) -> Tracks:
+        """Look for the keyframe's features in a grey picture (H, W). `predicted`: H (3, 3) from keyframe, or None.
+
+        `sigma_px`: one sigma of what was predicted since the last picture that was followed. Ground that repeats itself
+        is not followed without it.
+        """
+        tracks = self._find_again(image, predicted, sigma_px)
         if self._standing.see(image, (tracks.motion if len(tracks) else None, predicted)):
             self._leave_out_all()
         return tracks
 
-    def _find_again(self, image: Picture, predicted: Array | None) -> Tracks:
+    def _find_again(self, image: Picture, predicted: Array | None, sigma_px: float | None) -> Tracks:
         self._newest, self.is_ambiguous = image, False
         self._current = self._normalised(image)
         if self._picture is None or not len(self._ids):
             return self.nothing()
         carried_on = self._carry_on(predicted)
-        best = self.nothing()
-        if self._levels is not None:
-            best = self._follow(carried_on, self._levels)
-        if not self._is_plenty(best):
-            for start in [self._motion] if predicted is None else [predicted, self._motion]:
-                found = self._follow(self._align(start), LEVELS)
-                if len(found) > len(best):
-                    best = found
-                if len(found) >= max(MIN_TRACKS, 0.5 * len(self._ids)):
-                    break
-        if len(best) < MIN_TRACKS or self._are_inconsistent(best):  # so is a start that misses half of the picture
-            best = self._relocate()
-            if len(best) >= MIN_TRACKS and self._are_inconsistent(best):
-                best = self.nothing()
+        if self._repetition_px is None:
+            best = self._follow_anywhere(carried_on, predicted)
+        else:
+            best = self._follow_nearest(carried_on, predicted, sigma_px)
         self._levels = None
-        if self._repetition_px is not None and not self._is_sure(best, predicted, carried_on):
-            self.is_ambiguous = len(best) >= MIN_TRACKS
-            return self.nothing()
         if len(best) >= MIN_TRACKS:
             if self._is_plenty(best):
                 surprise = np.linalg.norm(move(carried_on, best.keyframe_uv_px) - best.uv_px, axis=1)
@@ -212,16 +219,44 @@ class Tracker:
         out /= out[2, 2]
         return out
 
-    def _is_sure(self, tracks: Tracks, predicted: Array | None, carried_on: Array) -> bool:
-        """Return whether telemetry predicts well enough to exclude, on repetitive ground, a match of a row away."""
-        if predicted is None or not len(tracks):
-            return False
-        predicted_px = move(predicted if self._predicted is None else carried_on, tracks.keyframe_uv_px)
-        last = move(self._motion, tracks.keyframe_uv_px)
-        step_px = middle(np.linalg.norm(predicted_px - last, axis=1))
-        miss_px = middle(np.linalg.norm(predicted_px - tracks.uv_px, axis=1))
-        unsure_px = PREDICTED_SHARE * step_px + PREDICTED_PX * self.width_px / 640.0
-        return max(unsure_px, miss_px) < 0.5 * (self._repetition_px or np.inf)
+    def _follow_anywhere(self, carried_on: Array, predicted: Array | None) -> Tracks:
+        """Search from every start that there is, as far as one is needed."""
+        best = self.nothing()
+        if self._levels is not None:
+            best = self._follow(carried_on, self._levels)
+        if not self._is_plenty(best):
+            for start in [self._motion] if predicted is None else [predicted, self._motion]:
+                found = self._follow(self._align(start), LEVELS)
+                if len(found) > len(best):
+                    best = found
+                if len(found) >= max(MIN_TRACKS, 0.5 * len(self._ids)):
+                    break
+        if len(best) < MIN_TRACKS or self._are_inconsistent(best):  # so is a start that misses half of the picture
+            best = self._relocate()
+            if len(best) >= MIN_TRACKS and self._are_inconsistent(best):
+                best = self.nothing()
+        return best
+
+    def _follow_nearest(self, carried_on: Array, predicted: Array | None, sigma_px: float | None) -> Tracks:
+        """Return the tracks nearest to the prediction, on repetitive ground, if that excludes those of a row away.
+
+        Nothing but the prediction gives a start: phase correlation and descriptors take one row for another.
+        """
+        start = carried_on if predicted is None or self._predicted is not None else predicted
+        reach_px = np.inf if sigma_px is None else REACH_SIGMAS * sigma_px
+        levels = next((levels for limit_px, levels in CALM_LEVELS if reach_px < limit_px), LEVELS)
+        tracks = self._follow(start, levels)
+        if len(tracks) < MIN_TRACKS:
+            self.is_ambiguous = len(self._follow(self._align(start), LEVELS)) >= MIN_TRACKS
+            return self.nothing()
+        miss = tracks.uv_px - move(start, tracks.keyframe_uv_px)
+        miss_px = float(np.hypot(middle(miss[:, 0]), middle(miss[:, 1])))
+        assert self._repetition_px is not None
+        is_sure = sigma_px is not None and is_nearest(self._repetition_px, miss_px, sigma_px)
+        if predicted is None or not is_sure or self._are_inconsistent(tracks):
+            self.is_ambiguous = True
+            return self.nothing()
+        return tracks
 
     def _is_plenty(self, tracks: Tracks) -> bool:
         """Return whether nearly all features were found again that should be on the picture."""

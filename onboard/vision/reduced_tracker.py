@@ -47,11 +47,12 @@ class ReducedTracker(Tracker):
         ids, uv = super().keyframe_features
         return ids, move(self._enlarge, uv)
 
-    def track(self, image: Picture, predicted: Array | None) -> Tracks:
-        """Look for the keyframe's features in a grey picture (H, W). `predicted`: H (3, 3) from keyframe, or None."""
+    def track(self, image: Picture, predicted: Array | None, sigma_px: float | None = None) -> Tracks:
+        """As `Tracker.track`, with a picture, a motion and a sigma of the full size."""
         size = self.width_px, self.height_px
         small = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
-        return self._moved(super().track(small, self._between(self._reduce, predicted)), self._enlarge)
+        sigma_px = None if sigma_px is None else float(self._reduce[0, 0]) * sigma_px
+        return self._moved(super().track(small, self._between(self._reduce, predicted), sigma_px), self._enlarge)
 
     def promote(self, tracks: Tracks) -> tuple[NDArray[np.int64], Array]:
         """Make the last picture the keyframe: keep `tracks`, fill up with new features; returns all ids and pixels."""

@@ -48,4 +48,7 @@ def _twin_px(around: Picture) -> float | None:
     if not other.any():
         return None
     rows, columns = np.nonzero(other)
-    return float(np.hypot(rows - REACH_PX, columns - REACH_PX).min())
+    nearest = np.hypot(rows - REACH_PX, columns - REACH_PX).argmin()
+    twin = np.where(name == name[rows[nearest], columns[nearest]], likeness, -1.0)  # its peak, not its border
+    row, column = np.unravel_index(int(twin.argmax()), twin.shape)
+    return float(np.hypot(row - REACH_PX, column - REACH_PX))

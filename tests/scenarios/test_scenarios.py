@@ -12,6 +12,7 @@ from dataclasses import replace
 import pytest
 
 from contract.feature_set import Status
+from simulation.flight import DescribedSpec
 from simulation.paths import PathSpec
 from simulation.renderer import SensorSpec
 from simulation.telemetry import TelemetrySpec
@@ -69,6 +70,11 @@ BLIND = Expected(reasons=(FEATURELESS,), stretches=((0, 9, OK), (9, 15, FEATUREL
 # and fine flow shows it: taken for land, up to four fifths of the clicks are outside their 99 % ellipse.
 WAVES = either(POOR_FIT, FEATURELESS, some=(POOR_FIT, FEATURELESS))
 ORDINARY = Expected(answered=0.6, inside_99=0.93, worst=3.0, semi_m=(0.0, 30.0))
+CROPS, LOW_CROPS = (
+    replace(LARGE, flight=DescribedSpec(PathSpec("straight", height_m=h, speed_m_s=10.0)), seconds=6.0)
+    for h in (100.0, 60.0)
+)
+IN_ROWS = Expected(answered=0.75, worst=3.0, median_m=8.0, semi_m=(0.5, 15.0))
 MOUNTS_DEG = ((0.0, -45.0, 0.0), (0.0, -60.0, 90.0), (0.0, -60.0, 0.0), (0.0, -90.0, 90.0), (0.0, -90.0, 180.0))
 WHOLE_SECONDS = (("camera.latency_s", -0.5), ("camera.sigma_jitter_s", 0.3))
 
@@ -96,18 +102,23 @@ TABLE: dict[str, list[Scenario]] = {
         Scenario("the sea under 35 m/s is answered with half as much radius again as land",
                  over("sea", replace(LARGE, flight=FAST)), Expected(reasons=(POOR_FIT, FEATURELESS)), radius=(1.5, 1e9),
                  radius_of=Scenario("land", replace(LARGE, flight=FAST), SOLVED), long="from 100 m, above"),
-        # Rows that repeat exactly every 8 m, 4 to 7 m between pictures: telemetry is better than half a row.
+        # Rows that repeat exactly: rates and velocities since the last picture are better than half a row.
         Scenario("stripes are distinguished by telemetry", over("stripes"), SOLVED),
         Scenario("stripes in large pictures are distinguished by telemetry", over("stripes", LARGE), SOLVED,
                  long="the row above"),
+        Scenario("crop rows 1.5 m apart from 100 m are solved", over("stripes", CROPS, row_spacing_m=1.5), IN_ROWS),
+        Scenario("crop rows 1.5 m apart from 60 m are solved", over("stripes", LOW_CROPS, row_spacing_m=1.5), IN_ROWS,
+                 long="from 100 m, above"),
+        Scenario("rows 0.6 m apart from 100 m, finer than the prediction, are repetitive",
+                 over("stripes", CROPS, row_spacing_m=0.6), refused(REPETITIVE)),
         # Answered, it was 140 to 340 m off.
         Scenario("stripes of which nothing specifies by how many rows they moved are repetitive",
                  over("stripes", replace(LARGE, rate_hz=1.0)), refused(REPETITIVE), config=(NO_ATTITUDE, LEVEL_GROUND)),
         Scenario("so they are at three pictures a second", over("stripes", replace(LARGE, rate_hz=3.0)),
                  refused(REPETITIVE), config=(NO_ATTITUDE, LEVEL_GROUND), long="the row above"),
-        Scenario("stripes two and a half rows apart, more than telemetry predicts to half a row, are repetitive",
-                 over("stripes", replace(LARGE, rate_hz=1.0, seconds=12.0)), refused(REPETITIVE),
-                 long="without attitude, above"),
+        Scenario("crop rows that two pictures a second pass three at a time are repetitive",
+                 over("stripes", replace(CROPS, rate_hz=2.0), row_spacing_m=1.5), refused(REPETITIVE),
+                 long="finer rows, above"),
         Scenario("large pictures of level ground are solved", LARGE, SOLVED, long="small ones, above"),
         Scenario("lorries on 3 % of the ground cost no radius", over("traffic", LARGE, vehicle_spacing_m=128), SOLVED,
                  radius_of=Scenario("an empty road", LARGE, SOLVED), radius=(0.0, 1.2), long="on 5 %, below"),

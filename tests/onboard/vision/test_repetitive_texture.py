@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from onboard.vision.contrast_normalisation import Picture, prepare
-from onboard.vision.klt_tracker import Tracker
+from onboard.vision.klt_tracker import Tracker, Tracks, is_nearest
 from onboard.vision.repetitive_texture import repetition_px
 
 SIZE = (320, 240)
@@ -60,27 +60,48 @@ def shifted(shift_px: float) -> np.ndarray:
     return np.array([[1.0, 0.0, shift_px], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
 
 
-def test_rows_are_followed_as_far_as_telemetry_tells_them_apart() -> None:
+def on_rows(
+    period_px: float, moved_px: float, predicted_px: float | None, sigma_px: float | None
+) -> tuple[Tracker, Tracks]:
+    tracker = Tracker(SIZE, 100)
+    tracker.track(rows(period_px), None)
+    tracker.promote(tracker.nothing())
+    predicted = None if predicted_px is None else shifted(predicted_px)
+    return tracker, tracker.track(rows(period_px, moved_px), predicted, sigma_px)
+
+
+@pytest.mark.parametrize(
+    ("predicted_px", "sigma_px", "followed"),
+    [(7.0, 3.0, True), (10.0, 3.0, True), (7.0, 6.0, False), (7.0, None, False), (None, None, False)],
+)
+def test_rows_are_followed_as_far_as_telemetry_tells_them_apart(
+    predicted_px: float | None, sigma_px: float | None, followed: bool
+) -> None:
     """The picture has moved by 7 px; rows are 20 px apart."""
-    period, moved = 20.0, 7.0
-    for reported, followed in ((moved, True), (moved + 3.0, True), (None, False)):
-        tracker = Tracker(SIZE, 100)
-        tracker.track(rows(period), None)
-        tracker.promote(tracker.nothing())
-        tracks = tracker.track(rows(period, moved), None if reported is None else shifted(reported))
-        assert (len(tracks) > 30) is followed, reported
-        assert tracker.is_ambiguous is not followed  # which is not the same as too little texture
-        if followed:
-            assert np.median(tracks.uv_px[:, 0] - tracks.keyframe_uv_px[:, 0]) == pytest.approx(moved, abs=0.3)
+    tracker, tracks = on_rows(20.0, 7.0, predicted_px, sigma_px)
+    assert (len(tracks) > 30) is followed
+    assert tracker.is_ambiguous is not followed  # which is not the same as too little texture
+    if followed:
+        assert np.median(tracks.uv_px[:, 0] - tracks.keyframe_uv_px[:, 0]) == pytest.approx(7.0, abs=0.3)
+
+
+@pytest.mark.parametrize(("miss_px", "sigma_px"), [(0.0, 1.0), (2.0, 1.5), (0.0, 3.6)])
+def test_of_a_thousand_sure_rows_none_is_the_next(miss_px: float, sigma_px: float) -> None:
+    """Sampled errors of the prediction: of those whose nearest row is as far off, the share that is wrong."""
+    spacing_px = 14.0
+    error = np.random.default_rng(3).normal(0.0, sigma_px, 4_000_000)
+    nearest = (error + 0.5 * spacing_px) % spacing_px - 0.5 * spacing_px
+    equal = np.abs(np.abs(nearest) - miss_px) < 0.25
+    wrong = np.mean(np.abs(error[equal] - nearest[equal]) > 1.0)
+    assert is_nearest(spacing_px, miss_px, sigma_px) is bool(wrong < 1e-3)
+    assert not is_nearest(spacing_px, 0.5 * spacing_px, sigma_px)
 
 
 def test_a_step_that_telemetry_cannot_tell_to_half_a_row_is_not_followed() -> None:
     """60 px predicted to 9 px, rows 12 px apart; the same step over ground without twins is followed."""
-    tracker = Tracker(SIZE, 100)
-    tracker.track(rows(12.0), None)
-    tracker.promote(tracker.nothing())
-    assert len(tracker.track(rows(12.0, 60.0), shifted(60.0))) == 0 and tracker.is_ambiguous
-    assert len(tracker.track(np.full(SIZE[::-1], 90, np.uint8), shifted(60.0))) == 0
+    tracker, tracks = on_rows(12.0, 60.0, 60.0, 9.0)
+    assert len(tracks) == 0 and tracker.is_ambiguous
+    assert len(tracker.track(np.full(SIZE[::-1], 90, np.uint8), shifted(60.0), 9.0)) == 0
     other = Tracker(SIZE, 100)
     other.track(wild(4), None)
     other.promote(other.nothing())
