@@ -152,7 +152,7 @@ def coverage_picture(fit: Fit, verdict: Verdict) -> NDArray[np.uint8]:
         if count == 0:
             canvas[top:bottom, left:right] = (210, 210, 255)
         cv2.rectangle(canvas, (left, top), (right, bottom), (225, 225, 225), 1)
-    # As long as a fiftieth of the picture for an rms residual.
+    # The arrow of an rms residual is a fiftieth of the picture long.
     longer = width * scale / 50.0 / max(fit.rms_px, 1e-6)
     for number, (view, residuals) in enumerate(zip(fit.views, fit.residuals_px, strict=True)):
         hue = np.array([[[int(number * 180 / len(fit.views)), 200, 170]]], np.uint8)

@@ -51,7 +51,7 @@ class Clock:
 
 @dataclass(frozen=True)
 class Unknown:
-    """No offset can be answered for: why, for people."""
+    """The answer that no offset is known well enough, with the reason for people."""
 
     reason: str
 

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 MIN_HEIGHT_M = 5.0
 COMMON = 5  # mount (3), logarithms of the height over the ground and of the focal length
 OUTLIERS = 0.05  # share of pairs to be left out: wrong matches, no ground plane
-# Where such may lie: shifts and turns of a radian, a scale by a factor of e.
+# Outliers may lie anywhere: shifts and turns of a radian, a scale by a factor of e.
 LOG_BROAD = float(np.log(OUTLIERS / 2.0))
 ANNEALING = (8.0, 3.0, 1.0, 1.0)  # the sigmas' factors, from round to round
 MIN_DEPTH = 0.05  # of a direction in the second picture, in heights

@@ -564,7 +564,7 @@ def to_toml(config: Config) -> str:
     lines = []
     for name, model in _sections():
         section, default = attrgetter(name)(config), model()
-        # What is the default of a V4L2 device is none of a network stream: stated, whatever it is.
+        # The defaults of a V4L2 device are not those of a network stream, so they are written even if equal.
         stated = name == "camera" and delay_prior(config.camera.device) != delay_prior("")
         keys = [
             key

@@ -46,7 +46,7 @@ ZOOM_REACH = 0.3  # of the focal length's logarithm, over which a zoom table's e
 MIN_GAIN = 0.02  # of a variance: a window that gains less on a state is no evidence on it
 LENS = slice(STATES, STATES + camera_states.COUNT)
 FOCAL_LENGTH = STATES + camera_states.FOCAL_LENGTH
-# Of the state directory, in the order of the states; older files lack those from the delays on.
+# Keys of the file in the state directory, in the order of the states; older files lack those from the delays on.
 TIMES = {"offset_s": OFFSET, "delay_s": DELAY, "velocity_delay_s": VELOCITY_DELAY}
 CHECKSUM, WHAT = "crc32", "alignment state"
 KEYS: dict[str, slice | int] = {"boresight_rad": BORESIGHT, **TIMES, "heading_rad": HEADING}
@@ -131,7 +131,7 @@ class Alignment:
     def forget(self) -> None:
         """Forget what windows have taught; what was known before them stays."""
         del self._estimates[1:]
-        # Of all states that there can be. The last: by what disagreement the windows so far count for less.
+        # Each has all states that there can be. The last: the disagreement by which the windows so far count for less.
         self._squares, self._counts, self._weakened = np.zeros(len(WALK)), np.zeros(len(WALK)), np.ones(len(WALK))
         self.unconfirmed: Unconfirmed | None = None
 
@@ -232,7 +232,7 @@ class Alignment:
         count, known = len(mean), np.diag(before.covariance)
         weakened, gained = self._weakened[:count], known - np.diag(covariance)
         shown = gained > MIN_GAIN * known
-        # By what the windows themselves claim: those before have been weakened already, where they disagreed.
+        # The claims of the windows themselves count: the earlier ones are weakened already where they disagreed.
         claimed = gained * (1.0 - gained / known * (1.0 - weakened**-2))
         self._squares[:count][shown] += (mean - before.mean)[shown] ** 2 / claimed[shown]
         self._counts[:count] += shown

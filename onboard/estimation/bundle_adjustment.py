@@ -58,7 +58,7 @@ class Problem:
     # The camera that `xy` was made with, and its own states (C,) in that, where they are estimated: (15.2).
     camera: Camera | None = None
     camera_taken: Array = field(default_factory=lambda: np.zeros(0))
-    # Where `xy` is what each picture's rows saw, one after the other; None: all at once. (18.3)
+    # The rows' motion, if `xy` is as rows read one after the other saw it; None: all rows at once. (18.3)
     sweep: Sweep | None = None
 
     @cached_property

@@ -76,7 +76,7 @@ def by_states(camera: Camera, x: Array, y: Array) -> Array:
     there, along = (each.reshape(2, *x.shape).swapaxes(0, 1) for each in (there, along))  # (K, 2, P)
     r2 = x * x + y * y
     out = np.zeros((len(x), COUNT, 2, x.shape[1]))
-    # Of the distorted coordinates, minus what the distortion itself adds: both sides of (2.1) must stay equal.
+    # The change of the distorted coordinates less the distortion's own: both sides of (2.1) must stay equal.
     np.negative(there, out=out[:, 0])
     out[:, 1, 0] = -camera.focal_px / camera.fx_px
     out[:, 2, 1] = -camera.focal_px / camera.fy_px

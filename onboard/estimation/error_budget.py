@@ -20,7 +20,7 @@ from onboard.estimation.solved_window import Solved
 
 Array = NDArray[np.float64]
 
-# What a sensor's Gauss-Markov part is called, and what all the rest of its covariance is.
+# The names of a sensor's Gauss-Markov part and of all the rest of its covariance.
 CAUSES = {
     POSITION: (Cause.GPS_SLOW, Cause.GPS_WHITE),
     VELOCITY: (Cause.SPEED, Cause.SPEED),
@@ -48,7 +48,7 @@ def sources(solved: Solved, gain: Array) -> dict[str, Array]:
 
 
 def _terms(prior: Prior, by_noise: Array) -> Iterator[tuple[Cause, Array]]:
-    """The terms of one prior, (20.2), from how far its whitened residuals' errors move things: (m, n)."""
+    """The terms of one prior, (20.2), from the effect (m, n) of its whitened residuals' errors."""
     if isinstance(prior, SharedPrior):
         held = present(len(prior.mean) - PLANE)
         names = [*(q.source for q, _ in held for _ in range(q.components)), Cause.DATUM, Cause.SLOPE, Cause.SLOPE]

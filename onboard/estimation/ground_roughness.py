@@ -132,7 +132,7 @@ def effective_sigma_m(offset_m: Array, height_m: Array, variance_m2: Array, clea
     slope = _roughness(H, relative, noise, spread)
     across, _ = np.linalg.qr(H)
     correlation = np.exp(distances(H, H) * (-slope / spread**2))
-    # Of two slopes: the variance with correlated deviations over that with independent ones.
+    # The two slopes' variance with correlated deviations over that with independent ones.
     effect = float((across[:, 1:] * (correlation @ across[:, 1:])).sum()) / 2.0
     effect = 1.0 + max(effect - 1.0, 0.0) * len(height_m) / len(some)
     return spread * clearance_m * float(np.sqrt(effect))

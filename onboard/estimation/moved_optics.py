@@ -114,7 +114,7 @@ def zoom_scores(window: WindowProblem, weighed: Weighed) -> tuple[Excess, Excess
 def excess_of(gain: float, solution: Solution, freedom: int) -> Excess:
     """A gain in variances of the solution's pixels: robust cost per measurement that is left over."""
     seen = np.isfinite(solution.residual_sigmas)
-    # Of two coordinates each, less a point's three and a pose's six.
+    # Each measurement has two coordinates; a point takes three freedoms, a pose six.
     left = 2 * int(np.count_nonzero(seen)) - 3 * seen.shape[1] - 6 * len(seen)
     variance = max(2.0 * float(cost_by_point(solution).sum()) / max(left, 1), 1.0)
     return Excess(gain / variance, freedom, variance)

@@ -39,7 +39,7 @@ class Resection:
     by_point: Array  # (N, 6, 3): J_view' J_point of each measurement, weighted
     sigmas: Array  # (N,) length of each whitened residual
     inliers: Mask
-    # What is added to the given rate where nothing measures that; information and `by_point` then have three more rows.
+    # The correction of the given rate if nothing measures that; information and `by_point` then have three more rows.
     rate_off_rad_s: Array
 
 

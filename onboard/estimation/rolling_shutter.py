@@ -17,7 +17,7 @@ from contract.rotations import log_so3
 
 Array = NDArray[np.float64]
 
-# Of the turning itself: measured rates so near to it take no more than its square, 4 %, off a readout found by them.
+# Share of the turning rate: measured rates with so small an error bias the readout by at most its square, 4 %.
 FOLLOWED = 0.2
 LEAST_READOUT_S = 0.005  # travel at 20 m/s moves the outer rows by 5 cm in it
 
@@ -60,10 +60,10 @@ class Sweep:
     share: Array  # (K, P) of the readout at which each measurement's row was exposed, 0 where there is none
     rate_cam_rad_s: Array  # (K, 3)
     velocity_enu_m_s: Array  # (K, 3)
-    # Of rates that nothing measures: they are estimated with the poses, as what they move in this time; 0: as given.
+    # One sigma of unmeasured rates, estimated with the poses as the angle that they turn in `scale_s`; 0: as given.
     sigma_rate_rad_s: float = 0.0
     scale_s: float = 0.0
-    # Of pictures that vibrate while they are read: swings (K,) in the time of the readout, and one sigma of an angle.
+    # Vibration while pictures are read: swings (K,) in the time of the readout, and one sigma of an angle.
     cycles: Array | None = None
     sigma_wave_rad: float = 0.0
 

@@ -81,7 +81,7 @@ def other_starts(request: Request, found: Outcome) -> Iterator[tuple[Keyframe, .
         R = mirrored(state.R_cam_enu, state.centres_enu_m, plane, problem.xy, seen, MIN_AHEAD)
         if R is not None:
             yield turned(request.keyframes, R)
-    # With attitude the sensors' start was the first one, but where the window before gave it.
+    # The first start was the sensors' own if there is attitude, unless the window before gave it.
     is_other = request.previous is not None or not has_attitude
     is_doubtful = is_other and (found.status is Status.POOR_FIT or _is_far_from_sensors(found, has_attitude))
     is_confirmed = has_attitude or found.agreed is not None or bool(request.memory.windows)
@@ -218,7 +218,7 @@ def cost_by_point(solution: Solution) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class TurnPrior:
-    """All views are turned as one about this axis by nothing from where they were; one residual."""
+    """A prior of no common turn of all views about this axis from where they were; one residual."""
 
     layout: Layout
     R_cam_enu: Array  # (K, 3, 3) where they were

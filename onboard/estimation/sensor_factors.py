@@ -40,7 +40,7 @@ from onboard.navigation.position_slip import DYNAMIC_TIME_S
 
 Array = NDArray[np.float64]
 
-# How far an aircraft without attitude sensor may be from flying level along its path in a coordinated turn.
+# One sigma of an aircraft without attitude sensor about flying level along its path in a coordinated turn.
 PATH_SIGMA_RAD = 0.25
 PATH_WHITE_SIGMA_RAD = 0.15
 GRAVITY_M_S2 = 9.81
@@ -64,7 +64,7 @@ class Sensors:
     jitter_s: float
 
     def priors(self, platform: PlatformEstimate, has_terrain: bool, slope: SlopePrior | None = None) -> list[Prior]:
-        """Every residual over the camera side that the configuration asks for and the keyframes have data for.
+        """All residuals over the camera side that the configuration asks for and the keyframes have data for.
 
         `has_terrain`: the plane among the shared states is then the terrain model's own error, not the ground itself.
         `slope`: the prior of the ground's; None: level as configured.

@@ -60,7 +60,7 @@ class Failing:
         return any(f.last_ns == end_ns for f in self.failures.values())
 
     def after(self, start_ns: int, end_ns: int, failed: Mapping[str, float]) -> Failing:
-        """After a window in which the groups of `failed` did, with the factors that make them consistent."""
+        """The failing groups after a window in which those of `failed` failed, with factors that make them fit."""
         kept = {n: f for n, f in self.failures.items() if f.at(start_ns) > FORGOTTEN}
         for name, factor in failed.items():
             before = kept.get(name, Failure(end_ns, end_ns, 1.0))
@@ -123,7 +123,7 @@ def innovations(
     factors: Mapping[str, float],
     known_by: Callable[[str], float] = lambda name: np.inf,
 ) -> list[Innovation]:
-    """Each group's, from a solution that holds all residuals; `covariance` (D, D) is the camera side's.
+    """Each group's innovation, from a solution that holds all residuals; `covariance` (D, D) is the camera side's.
 
     `factors`: those on the groups' variances that the whiteners already hold: what is held against the others are
     the variances without them. `known_by`: how many effective measurements each group's variance was estimated from,

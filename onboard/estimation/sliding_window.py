@@ -295,7 +295,7 @@ class Window:
         solved_under = with_delays_held_open(self.config, self._solved_under)
         if RATES in solved.layout.blocks:
             mean, covariance = without_readout(mean, covariance, solved_under.mean, solved_under.covariance)
-        # What the window itself shows is put upon the learned prior, which may be tighter: no delay held open.
+        # The window's own information is added to the learned prior, which may be tighter: no delay is held open.
         gained = Information.gained(mean, covariance, solved_under.mean, solved_under.covariance)
         mean, covariance = gained.upon(before.mean, before.covariance)
         if clock is not None and covariance[OFFSET, OFFSET] < clock.variance:

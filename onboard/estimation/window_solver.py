@@ -141,7 +141,7 @@ def _adjusted(request: Request) -> Outcome:
     if changed is not None:
         return changed
     weighed, failed = _without_failing_sensors(window, first)
-    # What follows is judged by what earlier windows found of the sensors, and by which of them fail.
+    # From here on the sensors are weighted by what earlier windows found, and by which of them fail.
     request = replace(request, noise=weighed.noise)
     weighed, noise = _settled(request, window, weighed)
     own_share = _depth_share_without_known_ground(window, weighed)
@@ -311,7 +311,7 @@ def _judged(request: Request, window: WindowProblem, weighed: Weighed, adjusted:
     turn = float(np.degrees(np.sqrt(np.diag(s.covariance)[layout.rotations()].max())))
     if turn > MAX_ROTATION_SIGMA_DEG:
         return refused(Status.LOW_PARALLAX, heading_unknown(turn))
-    # From another start it may: from the attitude's, or from the path's, which `second_start` compares.
+    # Another start, from the attitudes or from the path, may still converge: `second_start` compares the two.
     if not s.converged and (request.previous is not None or not have_attitude(keyframes)):
         reason = f"the adjustment found no minimum in {s.iterations} steps"
         return replace(refused(Status.POOR_FIT, reason), is_minimum=False)
@@ -321,7 +321,7 @@ def _judged(request: Request, window: WindowProblem, weighed: Weighed, adjusted:
     if float(np.median(_depth_sigma(s, covariance, good, layout))) / depth_m > MAX_DEPTH_SIGMA:
         # coarse and fine flow disagree too much to know the scale: water
         return refused(Status.POOR_FIT, GROUND_MOVES)
-    # Whether sensors contradict the pictures is judged by what earlier windows found, not by this one's own excuse.
+    # Earlier windows' noise decides whether sensors contradict the pictures: this window's own would excuse them.
     is_own = noise.factors is not request.noise.factors
     before = window.problem(replace(noise, factors=request.noise.factors)).priors if is_own else priors
     against = by_itself(config, keyframes, request.terrain, s, layout, kept, good, before)

@@ -126,7 +126,7 @@ def orient(xy: Array, seen: Mask, centres_enu_m: Array, R_body_cam: Array, toler
     """
     common = (seen.astype(int) @ seen.T.astype(int)).astype(float)
     between = centres_enu_m[:, None] - centres_enu_m[None]
-    # What was climbed shows no heading, and a pair that has hardly anything else would be given any.
+    # A climb shows no heading, so that a pair with hardly any other motion could be given any heading.
     level2 = np.square(between[..., :2]).sum(axis=-1)
     baseline = level2 / np.maximum(np.sqrt(level2 + np.square(between[..., 2])), 1e-9)
     score = np.where(common >= ENOUGH_COMMON, baseline * np.sqrt(np.minimum(common, 60.0)), 0.0)

@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 MIN_FEATURES = 8
 MAX_RELATIVE_SIGMA = 0.3  # a feature's own depth error beyond which it adds nothing to the ground plane
 ROTATION_PRIOR_RAD = 0.1
-# Of a variance, at most: on the wire the shared part is quantised in sigmas of the rest.
+# The largest shared part of a variance: on the wire it is quantised in sigmas of the rest.
 MAX_SHARED = 0.999
 
 

@@ -20,10 +20,10 @@ Array = NDArray[np.float64]
 
 MOVED = 0.1  # of the semi-major axis of a point's 90 % ellipse
 WIDENED = 0.05  # of the same axis, either way
-# Of what 90 % of heights are off by. Their sigma does not count: it falls by a fifth from the newest picture to the
+# Share of the 90 % interval of heights. Its change does not count: it falls by a fifth from the newest picture to the
 # window's middle, while the ellipse stays as it is, and the wider one that a picture keeps is as true.
 RISEN = 0.2
-# How far beyond its features' hull a set is asked, in roots of the hull's area: a little less than the ground asks it.
+# Reach of clicks beyond the features' hull, in roots of the hull's area: a little less than the ground's own limit.
 IN_REACH = 0.33
 MOST_POINTS = 40  # of a pair of solutions that are looked at
 RADIUS_90, INTERVAL_90 = float(np.sqrt(-2.0 * np.log(0.1))), 1.645  # in sigmas, of two dimensions and of one

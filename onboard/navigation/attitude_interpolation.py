@@ -33,7 +33,7 @@ class Orientation:
 
 
 class Attitudes(Series[Orientation]):
-    """Fed in any order."""
+    """Attitudes that may be inserted in any order."""
 
     def at(self, moment_ns: int) -> Array | Status:
         """R_ned_body (3, 3); STARTING before the first attitude, UNSYNCHRONISED in a gap or past the end."""

@@ -30,7 +30,7 @@ class MountHypothesis(Enum):
 
 
 class Gimbal:
-    """Fed with a gimbal's attitudes; the vehicle's are needed where the gimbal counts its yaw from the nose.
+    """Takes a gimbal's attitudes; the vehicle's are needed where the gimbal counts its yaw from the nose.
 
     Once a gimbal has sent, its silence is a gap, never a return to the fixed mount: its attitude is then unknown.
     """
@@ -56,7 +56,7 @@ class Gimbal:
         self.attitudes.insert(event.stamp_ns, Orientation(matrix_from_quaternion(event.q_ref_gimbal)))
 
     def needed(self, hypothesis: MountHypothesis) -> list[Attitudes]:
-        """All that an attitude is made of."""
+        """The series of attitudes that the hypothesis needs."""
         if hypothesis is MountHypothesis.MOUNT:
             return [self._vehicle]
         return [self.attitudes, self._vehicle] if self._from_nose else [self.attitudes]

@@ -39,7 +39,7 @@ class Refusal(StrEnum):
 
 
 class GpsIntegrity:
-    """Fed with positions, receiver and filter reports; determines for any moment whether its position is accepted."""
+    """Takes positions, receiver and filter reports; determines for any moment whether its position is accepted."""
 
     def __init__(self, config: Config) -> None:
         self._gps, self._had_fix = config.gps, False

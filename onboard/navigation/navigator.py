@@ -38,7 +38,7 @@ from onboard.navigation.time_series import Series
 
 Array = NDArray[np.float64]
 
-# From its origin the frame's up and the vertical differ by 0.2 degrees here; ground taken for level in it would slope.
+# So far from the origin the frame's up and the vertical differ by 0.2 degrees: level ground would slope in the frame.
 FRAME_REACH_M = 20_000.0
 
 
@@ -84,7 +84,7 @@ class NavState:
 
 
 class Navigation:
-    """Fed with events in order of arrival; answers for any moment of the last two minutes."""
+    """Takes events in order of arrival and answers for any moment of the last two minutes."""
 
     def __init__(self, config: Config) -> None:
         self.config = config
@@ -96,7 +96,7 @@ class Navigation:
         self._latency_ns = round(config.gps.latency_s * 1e9)
         self._yaw_sigma_rad = float(np.radians(config.mount.gimbal_yaw_sigma_deg))
         self._forget()
-        # Which hypothesis of mount and gimbal is accepted; where that is open, the part that sees pictures decides.
+        # The accepted hypothesis of mount and gimbal; while that is open, the part that sees pictures decides.
         self.mount_hypothesis = MountHypothesis.GIMBAL if self.gimbal.is_certain else MountHypothesis.MOUNT
 
     def _forget(self) -> None:
@@ -163,7 +163,7 @@ class Navigation:
             return
         accepted, self.reason = self._integrity.first_accepted(self._fixes, now_ns)
         if accepted:
-            # What came before may be compared with the newest only as far as the aircraft can have travelled since.
+            # Earlier positions may be compared with the newest only as far as the aircraft can have travelled since.
             near = self._put_frame(accepted[-1], accepted)
             self._put_frame(near[0], near)
             self._hold(near)

@@ -17,7 +17,7 @@ from onboard.navigation.time_series import Series
 
 Array = NDArray[np.float64]
 
-# By which power of the gap the error of joining grows while motion is smooth: a line, a piece of a cubic.
+# The power of the gap that the interpolation error grows with while motion is smooth: a line, a piece of a cubic.
 LINE, CUBIC = 2, 4
 
 

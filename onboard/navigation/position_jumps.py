@@ -65,7 +65,7 @@ class _Episode:
 
 
 class PositionJumps:
-    """Fed with every newest position; knows which moments are refused, and how far positions may be off otherwise."""
+    """Takes every newest position; knows which moments are refused, and how far positions may be off otherwise."""
 
     def __init__(self, gps: Gps, was_unfit: Callable[[int, int, float], bool]) -> None:
         """`was_unfit(start_ns, end_ns, moved_m)`: whether receiver or filter had reported such an error."""

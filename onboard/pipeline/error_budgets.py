@@ -21,7 +21,7 @@ LEVEL_DEG, BANKED_DEG = 10.0, 20.0
 
 
 class NewestBudget:
-    """Shown every picture as it is placed, in the pipeline's thread; asked in another for the budget of a click now."""
+    """Takes every picture as it is placed, in the pipeline's thread; gives another thread the budget of a click now."""
 
     def __init__(self) -> None:
         self.newest: Placed | None = None
@@ -52,7 +52,7 @@ class NewestBudget:
 
 
 class BudgetWatch:
-    """Shown every picture as it is placed; keeps the first of each kind, as it was placed last."""
+    """Takes every picture as it is placed; keeps the first of each kind, as it was placed last."""
 
     def __init__(self, R_body_cam: Array) -> None:
         self._R_body_cam = R_body_cam

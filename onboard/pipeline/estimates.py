@@ -160,7 +160,7 @@ def as_rows(
 
 
 _LABELS = {q.name: q.label for q in QUANTITIES} | {RELATIVE_VARIANCE: "relative errors"}
-# How each is written: a factor, decimals, and the words about its components.
+# The form of each in words: a factor, decimals, and the text around its components.
 _TEXTS: dict[str, tuple[float, int, str]] = {
     BORESIGHT: (math.degrees(1.0), 2, "x {}, y {}, z {} deg, camera axes"),
     TIME_OFFSET: (1.0, 3, "{} s, camera to autopilot"),

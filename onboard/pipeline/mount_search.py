@@ -55,7 +55,7 @@ class Ranking:
 
 
 class MountSearch:
-    """Fed with a flight's events in order of arrival; `camera` as its file has it."""
+    """Takes a flight's events in order of arrival and ranks the mounts; `camera` as its file has it."""
 
     def __init__(self, config: Config, camera: Camera) -> None:
         mount = config.mount.model_copy(update={"gimbal": "never"})

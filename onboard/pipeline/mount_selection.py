@@ -61,7 +61,7 @@ def cost_of(
 
 
 class MountSelection:
-    """Fed with every picture's tracks and every window; knows the mount hypothesis once they clearly show one."""
+    """Takes every picture's tracks and every window; knows the mount hypothesis once they clearly show one."""
 
     def __init__(self, camera: Camera, R_body_cam: Array) -> None:
         self.camera = camera  # that the tracks' pixels are by

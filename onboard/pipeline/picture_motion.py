@@ -58,7 +58,7 @@ def predict_motion(
     was, now = last.observation.moving, moving_at(window, navigation, nav)
     if H is None or was is None or now is None:
         return H
-    # From the pictures' moments to when each row was exposed.
+    # The homography holds at the pictures' moments: change it to the moments at which the rows were exposed.
     at = pixel_grid(camera.size_px, (5, 5))
     to = move(H, at - _moved_px(camera, at, was))
     to = to + _moved_px(camera, to, now)

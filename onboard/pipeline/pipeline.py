@@ -370,7 +370,7 @@ class Pipeline:
             self._book.queue(solved.frames, self.config.solve.keyframes // 2)
             return
         if self._failures >= MAX_FAILURES:
-            # What the window holds does not fit together: begin again with this keyframe alone.
+            # The window's keyframes do not fit together: begin again with this one alone.
             self._settle(self._book.take(before=record.frame.index))
             self.window.begin_again()
             self._failures = 0

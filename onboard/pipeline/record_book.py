@@ -65,7 +65,7 @@ class RecordBook:
         self._newest_ns: int | None = None  # that was placed at once; None: the last one could not be
 
     def queue(self, frames: Sequence[int], behind: int) -> None:
-        """After a solve of keyframes `frames`: what has no set yet, and what lies `behind` or more keyframes back.
+        """Queue, after a solve of keyframes `frames`, records without a set and those `behind` or more keyframes back.
 
         Settled pictures before the window are forgotten.
         """

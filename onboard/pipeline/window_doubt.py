@@ -27,7 +27,7 @@ SAME_DEPTH = 0.3  # of the logarithm of the height above ground: what relief may
 
 
 class FrameDoubt:
-    """Fed with the status of every window."""
+    """Takes the status of every window; after one with a shifted frame, one that fits is not enough to deny that."""
 
     def __init__(self) -> None:
         self._wanted = 0  # windows in a row that must fit, the last of which counts again
@@ -50,7 +50,7 @@ class FrameDoubt:
 
 
 class LensDoubt:
-    """Fed with how tracking goes, and with every solved window."""
+    """Takes the success of tracking and every solved window; doubts the lens after pictures that lost their tracks."""
 
     def __init__(self) -> None:
         self.is_open = False

@@ -30,7 +30,7 @@ class _Report:
 
 
 class ZoomFollowing:
-    """Fed with reports in order of arrival. `camera` is the camera file; `sigma` of a report, of the focal length."""
+    """Takes zoom reports in order of arrival. `camera`: the camera file; `sigma`: of a report, of the focal length."""
 
     def __init__(self, camera: Camera, sigma: float) -> None:
         self._file, self._sigma = camera, sigma

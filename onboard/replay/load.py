@@ -86,7 +86,7 @@ def _measure(pipeline: Pipeline, events: Iterable[tuple[int, Event]], is_over: C
                 encoding_before_ns, stages_before = encoding_ns, pipeline.summary.stage_seconds
             if is_over(len(stamps_ns)):
                 break
-    # What still waits to be placed belongs to the pictures that were replayed, not to the last of them.
+    # Pictures that still wait to be placed count for all that were replayed, not for the last one.
     _, finish_ns, of_it_encoding_ns = _timed(pipeline.finish)
     encoding_ns += of_it_encoding_ns
     summary = pipeline.summary

@@ -32,7 +32,7 @@ from onboard.storage.event_json import NAV_EVENTS, frame_event, nav_event
 from onboard.storage.mcap_records import Found, Lost, walk
 from onboard.storage.recording_queue import Gap
 
-# What a damaged message or a damaged picture's head raises (binascii's error is a ValueError).
+# Exceptions of a damaged message or a damaged picture's head (binascii's error is a ValueError).
 _NO_PICTURE = (
     ValueError,
     KeyError,

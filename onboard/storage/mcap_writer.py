@@ -28,11 +28,11 @@ from onboard.events.types import Event, Frame, PositionFix
 from onboard.storage import foxglove_schemas
 from onboard.storage.event_json import CHANNELS, event_json, event_schema
 
-# What viewers get is for the eye: at most so often, by the clock of the data.
+# Messages for viewers are written at most so often, by the clock of the data: they are only looked at.
 VIEW_LOCATION_NS = 200_000_000
 VIEW_FEATURES_NS = 1_000_000_000
 JPEG_QUALITY = 85
-# Of 640x480 pictures of the ground: 97 kB in 4.3 ms. Stronger compression takes twice the time for 2 %.
+# A 640x480 picture of the ground takes 97 kB and 4.3 ms. Stronger compression takes twice the time for 2 %.
 _PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE]
 _STATUS_SCHEMA = _GAP_SCHEMA = '{"type":"object"}'
 

@@ -133,7 +133,7 @@ class RecordingQueue:
             return gap
 
     def close(self) -> None:
-        """Nothing more comes; what waits can still be had."""
+        """Mark the end: no more entries come; those that wait can still be had."""
         with self._changed:
             self._is_closed = True
             self._changed.notify_all()

@@ -43,7 +43,7 @@ BEHIND_S = 2.0  # after the last drop, until the disk is reported to keep up aga
 LATE_S = 10.0  # in one write: the disk hangs
 CLOSE_SILENT_S, CLOSE_S = 3.0, 8.0  # at the end: with a disk that takes nothing more, and with one that is slow
 MEGABYTE = 1_000_000
-# What encoding a set raises if a number in it has no place on the wire.
+# Exceptions of encoding a set in which a number has no place on the wire.
 UNENCODABLE = (ValueError, ArithmeticError, struct.error)
 
 log = logging.getLogger("pointclick")
@@ -282,7 +282,7 @@ class Recorded:
             )
 
     def _give_up(self, error: Exception, pause_s: float) -> None:
-        """No file for `pause_s`. A fault that comes back soon is in the log once a minute, however often it does."""
+        """Open no file for `pause_s`. A fault that comes back soon is logged once a minute, however often it does."""
         if not self._fault:
             self._is_reported = False
         self._fault = str(error) or type(error).__name__

@@ -62,7 +62,7 @@ def prepare(image: Picture) -> Picture:
 
 
 def _halved(image: Picture) -> Picture:
-    # By two twice: OpenCV has fast code for that, and not for four at once.
+    # Halve twice: OpenCV has fast code for that, and not for four at once.
     height, width = image.shape
     half = cv2.resize(image, (max(width // 2, 1), max(height // 2, 1)), interpolation=cv2.INTER_AREA)
     return np.asarray(half, np.uint8)

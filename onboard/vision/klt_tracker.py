@@ -82,7 +82,7 @@ class Tracks:
         return float(both) / (width * height)
 
     def thinned(self, least_px: float) -> Tracks:
-        """Without those nearer than this to an older one: while the camera climbs all that it follows converges."""
+        """The tracks but those nearer than this to an older one: while the camera climbs, all features converge."""
         apart_px = np.linalg.norm(self.uv_px[:, None] - self.uv_px, axis=2)
         kept = np.ones(len(self), bool)
         for k in range(1, len(self)):

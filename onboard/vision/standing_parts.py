@@ -90,7 +90,7 @@ class _Reference:
 
 
 class StandingParts:
-    """Fed with pictures and the ground's motion; `mask` is what has been found."""
+    """Takes pictures and the ground's motion; `mask` is what has been found."""
 
     def __init__(self, size_px: tuple[int, int]) -> None:
         self.size_px = size_px
