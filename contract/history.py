@@ -83,6 +83,11 @@ class History(Generic[T]):
         if session in self._sessions:
             self._sessions[session].forget_after(unix_ns)
 
+    def forget(self, session: int, frame: int) -> None:
+        """Drop the set of a frame; nothing happens where there is none."""
+        if session in self._sessions:
+            self._sessions[session].forget(frame)
+
     @property
     def sessions(self) -> list[int]:
         """The numbers of the sessions of which anything is kept."""
@@ -170,6 +175,10 @@ class _Session(Generic[T]):
     def forget_after(self, unix_ns: int) -> None:
         while self._order and self._order[-1][0] > unix_ns:
             self._forget(*self._order[-1])
+
+    def forget(self, frame: int) -> None:
+        if frame in self.entries:
+            self._forget(self.entries[frame].capture_unix_ns, frame)
 
     def _forget(self, capture_unix_ns: int, frame: int) -> None:
         self._order.remove((capture_unix_ns, frame))

@@ -37,6 +37,7 @@ class _Shown:
 
     offset_ns: int
     noted_ns: int
+    frame: int | None = None  # the set's that showed it
 
     def is_ahead(self, of_ns: int) -> bool:
         """Return whether this clock is ahead of one of that offset, by more than clocks need an answer for."""
@@ -59,20 +60,30 @@ class AircraftClock:
         self._claim: _Shown | None = None
         self._contrary = 0  # sets in a row
         self._is_moved = False  # since the last answer: two sets agree on a clock ahead of it
+        self._refuted: list[int] = []
 
     @property
     def is_asked(self) -> bool:
         """Return whether the aircraft itself has answered what its clock shows."""
         return self._least is not None
 
-    def received(self, sent_unix_ns: int, now: Moment) -> bool:
+    def take_refuted(self) -> list[int]:
+        """Return the frames of sets whose clock was contradicted since the last call: they are not what they seemed."""
+        refuted, self._refuted = self._refuted, []
+        return refuted
+
+    def _refute(self, claim: _Shown | None) -> None:
+        if claim is not None and claim.frame is not None:
+            self._refuted.append(claim.frame)
+
+    def received(self, sent_unix_ns: int, now: Moment, frame: int | None = None) -> bool:
         """A set came that was sent when the aircraft's clock showed this; False: it is stamped too far ahead of that.
 
         Of two clocks that contradict each other the one that agrees with the ground's own stays; if none does, that of
         more sets. A set ahead of a clock that is certain is a claim. An aircraft's clock does not go back: the next
         set confirms it, or contradicts it.
         """
-        shown = _Shown(now.monotonic_ns - sent_unix_ns, now.monotonic_ns)
+        shown = _Shown(now.monotonic_ns - sent_unix_ns, now.monotonic_ns, frame)
         if self._held is None:
             self._held = shown
             return True
@@ -98,6 +109,8 @@ class AircraftClock:
         held_ns = most_ns if self._held is None else self._offset_at(answered_ns)
         claim = self._claim or self._held
         is_open = claim is not None and claim.noted_ns > asked_ns and claim.is_ahead(least_ns)
+        if claim is not None and claim.is_ahead(least_ns) and not is_open:
+            self._refute(claim)
         self._note(_Shown(min(max(held_ns, least_ns), most_ns), answered_ns))
         self._least, self._claim, self._is_moved = _Shown(least_ns, answered_ns), claim if is_open else None, False
 
@@ -139,6 +152,7 @@ class AircraftClock:
         """Judge the claim by the set after it, of a clock that is certain; False: this set is a claim itself."""
         claim, self._claim = self._claim, None
         if not shown.is_ahead(self._least_at(now)):
+            self._refute(claim)
             return True
         if claim is not None and not claim.is_ahead(shown.offset_ns):
             self._note(claim)
@@ -146,6 +160,8 @@ class AircraftClock:
             if self._least is None:
                 return True  # it is no longer certain
             self._least = claim
+        else:
+            self._refute(claim)
         self._claim = shown if shown.is_ahead(self._least_at(now)) else None
         return self._claim is None
 

@@ -36,10 +36,10 @@ class ReceivedSets:
     def take(self, s: FeatureSet, age_s: float | None, now: Moment) -> str:
         """A set that came now, and its picture's age when it was sent; why it is left out, or nothing."""
         clock = self._clocks.setdefault(s.session, AircraftClock())
-        if not clock.received(s.capture_unix_ns + round((age_s or 0.0) * 1e9), now):
+        if not clock.received(s.capture_unix_ns + round((age_s or 0.0) * 1e9), now, s.frame):
             self._is_contradicted = True
             return f"{self.vehicle!r} stamps sets more than {AHEAD_S:.0f} s ahead of its own clock"
-        self.history.forget_after(s.session, clock.latest_unix_ns(now))
+        self._forget_false(s.session, clock, now)
         self.history.add(s, s, runs=self._runs(s.session, clock, now))
         self._forget_clocks()
         if s.session != self.history.session:
@@ -64,7 +64,7 @@ class ReceivedSets:
         clock = self._clocks.setdefault(session, AircraftClock())
         if sent_unix_ns is not None:
             clock.answered(sent_unix_ns, asked_ns, now.monotonic_ns)
-            self.history.forget_after(session, clock.latest_unix_ns(now))
+            self._forget_false(session, clock, now)
         self._is_contradicted = self._is_unanswered = False
         self._forget_clocks()
 
@@ -136,6 +136,12 @@ class ReceivedSets:
             is_silent = now.monotonic_ns - self._ran_ns > SILENT_S * 1e9
             return clock.is_certain(now) or not is_held_certain or is_silent
         return clock.is_certain(now) and not is_held_certain
+
+    def _forget_false(self, session: int, clock: AircraftClock, now: Moment) -> None:
+        """Drop the sets stamped in the future, and those that were when they came, though that is past by now."""
+        self.history.forget_after(session, clock.latest_unix_ns(now))
+        for frame in clock.take_refuted():
+            self.history.forget(session, frame)
 
     def _forget_clocks(self) -> None:
         kept = self.history.sessions

@@ -196,6 +196,20 @@ def test_one_set_up_to_a_minute_ahead_is_forgotten_and_makes_none_old(
     assert not world.sets.is_to_be_asked(world.moment(30.0))
 
 
+@pytest.mark.parametrize("behind_s", [0.0, HOUR_S])
+@pytest.mark.parametrize("step_s", [1.9, 3.0, 20.0])
+def test_one_set_two_seconds_ahead_goes_too_where_its_stamp_is_past_before_the_next_comes(
+    behind_s: float, step_s: float
+) -> None:
+    """Over a thin radio sets come seconds apart: it stayed in the list, as a picture of two seconds later."""
+    world = World(max_age_s=3600.0)
+    world.answer(-0.1, behind_s)
+    for k in range(12):
+        assert world.receive(step_s * k, behind_s, ago_s=-2.0 * (k == 5)) == ""
+        if k > 5:
+            assert [e.frame for e in world.sets.history.ordered()] == [f for f in range(1, k + 2) if f != 6]
+
+
 @pytest.mark.parametrize("ahead_s", [5.0, 30.0, 59.0])
 @pytest.mark.parametrize("behind_s", [0.0, HOUR_S])
 def test_two_sets_ahead_in_a_row_make_others_old_until_the_next_answer(ahead_s: float, behind_s: float) -> None:
