@@ -150,9 +150,7 @@ class Pictures:
         return None if has_waited or buffer.has_waited else now_ns
 
     def _is_fresh(self, image: Grey | ThermalCounts | None, now_ns: int) -> bool:
-        """Return whether a picture, as the camera gave it, is neither damaged (None) nor a repeat of the last one;
-        count it.
-        """
+        """Return whether a picture, as the camera gave it, is neither damaged (None) nor a repeat; count it if so."""
         if image is None:
             self.counts.damaged += 1
             self._damaged_in_a_row += 1
@@ -192,9 +190,7 @@ class Pictures:
 
     @property
     def stamped_at(self) -> str:
-        """The moment at which the driver takes its stamps: the 'start' or the 'end' of the picture; '' before the
-        first.
-        """
+        """The moment that the driver stamps: the 'start' or the 'end' of the picture; '' before the first."""
         return self._source
 
     def complaints(self) -> list[str]:

@@ -206,8 +206,7 @@ class FrameReader:
 
 
 def middle_ns(header: Header, readout_s: float) -> int:
-    """Return the time from a stamp to the middle of the exposure of the middle row, ns. `readout_s`: of all rows,
-    positive.
+    """Return the time from a stamp to the middle of the middle row's exposure, ns. `readout_s`: of all rows, positive.
 
     An exposure that is not known counts as 0: its half is part of the time offset that is estimated in flight.
     """

@@ -166,7 +166,7 @@ class Stamps:
 
 
 class Whole:
-    """The judgement which pictures of a stream are whole: none from a gap to the next picture that needs no other.
+    """The judgement of which pictures of a stream are whole: none from a gap to the next picture that needs no other.
 
     A decoder puts something in place of what was lost, and goes on: pictures look sharp, and show where the camera was
     before the gap. A stream without such pictures (intra refresh) is whole again after HEALED_NS.
@@ -181,8 +181,7 @@ class Whole:
         return self._broken_ns is None
 
     def see(self, is_gap: bool, is_key: bool, now_ns: int) -> bool:
-        """Return whether the next picture is whole, as it comes to the decoder: behind a gap or not, a key picture or
-        not.
+        """Return whether the next picture is whole; it comes to the decoder behind a gap or not, a key picture or not.
 
         The picture directly behind a gap may begin with the rest of an earlier one, and then bears its times. So it
         does not count itself, but what follows a key picture (one that needs no other) does. A stream begins with a

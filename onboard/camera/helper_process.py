@@ -67,9 +67,7 @@ class HelperProcess:
         return self._process.pid
 
     def read(self, within_s: float) -> bytes | None:
-        """Return what it has written, at the latest after `within_s`; empty if nothing, None once it has closed its
-        output.
-        """
+        """Return its output, at the latest after `within_s`; empty if there is none, None once it has closed it."""
         data = b""
         for fd, _ in self._poll.poll(1e3 * within_s):
             try:

@@ -289,7 +289,7 @@ class Session:
                 self.live_rates.set_made(output, self.clock.now_ns())
 
     def _hand_over(self, output: FeatureSet, sink: Sink) -> bool:
-        """Return whether the sink took it. A set without an encoding is no reason to end the flight: it is left out."""
+        """Hand a set over; return whether the sink took it. One without an encoding is left out: it ends no flight."""
         try:
             sink.feature_set(output)
         except UNENCODABLE as error:

@@ -29,8 +29,8 @@ BEHIND = 1e-6
 class Mount:
     """The pose of the second camera against the first, with its error.
 
-    R_first_second (3, 3); by how many seconds its pictures were taken later than their stamps; and the covariance (4,
-    4) of both: R <- R exp([angles]).
+    R_first_second (3, 3); by how many seconds its pictures were taken later than their stamps; and of both the
+    covariance (4, 4): R <- R exp([angles]).
     """
 
     R_first_second: Array

@@ -174,8 +174,8 @@ def area_and_sigma(outline: Array, region: Region, pixel_m: float, fix: Fix) -> 
 def shares(fixes: list[Fix], its_set: FeatureSet, pointed_m: list[Array]) -> tuple[float, float]:
     """Return the shares of the fixes' horizontal variance that the picture's have in common, and the session's.
 
-    `pointed_m`: for each the root (2, k) of what a second camera adds, first the columns that last a session. (25.12),
-    (27.7)
+    (25.12), (27.7). `pointed_m`: for each fix the root (2, k) of what a second camera adds, first the columns that last
+    a session.
     """
     if not fixes:
         return 0.0, 0.0

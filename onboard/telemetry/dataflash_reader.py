@@ -155,8 +155,9 @@ def _filter_of(log: Any) -> str:
 
 
 def _is_used(message: Any, name: str, primary: int) -> bool:
-    """Return whether a message comes from the filter's primary core, the receiver in use, or the first of other
-    sensors.
+    """Return whether a message is used.
+
+    Of filter cores it is the primary one, of receivers the one in use, of range finders each, of others the first.
     """
     if name in ("KF1", "KF4"):
         return bool(getattr(message, "C", primary) == primary)

@@ -45,8 +45,9 @@ class GimbalChoice:
     received_ns: int = 0
 
     def takes(self, message: Any, arrival_ns: int) -> bool:
-        """Return whether this attitude comes from the chosen sender; choose it where it is a better one or that is
-        silent.
+        """Return whether this attitude is the camera's: its sender is the chosen one.
+
+        A sender is chosen if it is better than the one before, or that has been silent for SILENT_NS.
         """
         component = message.get_srcComponent()
         if self.wanted not in (0, component):

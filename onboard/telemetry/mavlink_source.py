@@ -90,7 +90,7 @@ class PymavlinkEnd:
             self._wire.write(bytes(packet))
 
     def lost(self, system: int) -> int | None:
-        """Return how many packets a system's autopilot lost, by the numbers in all headers, of unknown kinds too."""
+        """Return how many packets of a system's autopilot were lost, by the numbers in all headers, of any kind."""
         return self._gaps.lost[system, AUTOPILOT_COMPONENT]
 
     def complaint(self) -> str:

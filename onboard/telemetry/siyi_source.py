@@ -59,9 +59,7 @@ class SiyiAnswers:
         self._sequence = 0
 
     def due(self, now_ns: int) -> list[bytes]:
-        """Return the packets to send now. One request of a kind is open at a time, so that its answer is known to be
-        its.
-        """
+        """Return the packets to send now. One request of a kind is open at a time: an answer is known to be its."""
         out = []
         for command, due_ns in self._due.items():
             asked_ns = self._asked.get(command)

@@ -69,7 +69,7 @@ def read_tlog(path: Path | str, clock: Mode = "auto", gimbal: int = 0, chosen: i
 def _shots(own: list[tuple[int, Any]]) -> tuple[int, ...]:
     """Return when a camera was triggered (CAMERA_FEEDBACK, on UTC), on the log's clock.
 
-    UTC is mapped to it by its least delayed message; without one the arrival counts.
+    UTC is mapped to it by its least delayed message; without one, or of a stamp that is no UTC, the arrival counts.
     """
     ahead_ns = [t - m.time_unix_usec * 1000 for t, m in own if m.get_type() == "SYSTEM_TIME" and m.time_unix_usec]
     shots = {m.time_usec: t for t, m in own if m.get_type() == "CAMERA_FEEDBACK"}

@@ -80,9 +80,7 @@ class Track:
         )  # fmt: skip
 
     def unheard(self, session: int, vehicle: str) -> TrackReport:
-        """Return its report as of the newest picture when none has come for a while: unseen, and coasting if it was
-        followed.
-        """
+        """Return its report when no picture has come for a while: unseen, and coasting if it was followed."""
         self.state = TrackState.COASTING if self.state is TrackState.FOLLOWED else self.state
         if self._observed.unseen is Unseen.NONE:
             self._observed = Observation(
