@@ -48,7 +48,7 @@ class ReducedTracker(Tracker):
         return ids, move(self._enlarge, uv)
 
     def track(self, image: Picture, predicted: Array | None, sigma_px: float | None = None) -> Tracks:
-        """As `Tracker.track`, with a picture, a motion and a sigma of the full size."""
+        """Track as `Tracker.track` does, with a picture, a motion and a sigma of the full size."""
         size = self.width_px, self.height_px
         small = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
         sigma_px = None if sigma_px is None else float(self._reduce[0, 0]) * sigma_px
