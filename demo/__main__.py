@@ -120,7 +120,7 @@ def _click_all(truth: Truth, spots: list[Spot], aircraft: Aircraft) -> list[Clic
 
 
 def head_text(spot: str, frame: int, u_px: int, v_px: int) -> str:
-    """What was clicked, as the first columns under `HEADER`."""
+    """The clicked spot, frame and pixel as the first columns under `HEADER`."""
     return f"  {spot:<4}  {frame:5d}  {u_px:4d},{v_px:4d}"
 
 

@@ -1,4 +1,4 @@
-"""What is clicked: spots on the ground, each in two pictures, and what the answers were worth."""
+"""Clicks of the demo: spots on the ground, each in two pictures, and what the answers were worth."""
 
 from __future__ import annotations
 

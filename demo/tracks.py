@@ -1,4 +1,4 @@
-"""What the tracker does, drawn as the seed draws it: sample frames, features (red followed, green new), their paths."""
+"""Pictures of tracking, as the seed draws it: sample frames, features (red followed, green new), their paths."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Sample:
 
 @dataclass(eq=False)
 class _Paths:
-    """Where each feature was, picture by picture."""
+    """The pixels of each feature, picture by picture."""
 
     by_id: dict[int, list[Array]] = field(default_factory=dict)
 

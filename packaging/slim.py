@@ -148,7 +148,7 @@ def conditions(site: Path) -> list[str]:
 
 
 def owned(info: Path) -> set[Path]:
-    """What a distribution installed at the top, by its RECORD: its files and folders, and its own .dist-info."""
+    """The files and folders that a distribution installed at the top, by its RECORD, and its own .dist-info."""
     lines = (info / "RECORD").read_text(encoding="utf-8").splitlines()
     tops = {line.rsplit(",", 2)[0].strip('"').split("/")[0] for line in lines if not line.startswith("..")}
     return {info.parent / top for top in tops}
@@ -273,8 +273,8 @@ def blank(path: Path, library: ELF.Binary) -> None:
 
 
 def loads_as(before: ELF.Binary, after: ELF.Binary) -> bool:
-    """Whether the loader makes the same of both: segments at the same addresses, each where a page can hold it, and
-    every section that is loaded with the same bytes at the same address.
+    """Return whether the loader makes the same of both: segments at the same addresses, each where a page can hold it,
+    and every section that is loaded with the same bytes at the same address.
     """
     segments, others = ([s for s in x.segments if s.type == ELF.Segment.TYPE.LOAD] for x in (before, after))
     kept = {section.virtual_address: bytes(section.content) for section in _loaded(after)}

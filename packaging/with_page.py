@@ -46,7 +46,7 @@ def build_wheel(wheel_directory: str, config_settings: Any = None, metadata_dire
 
 
 def is_page_due() -> bool:
-    """Whether there are sources, and no page or an older one."""
+    """Return whether there are sources, and no page or an older one."""
     sources = [p for p in (FRONTEND / "src", FRONTEND) if p.is_dir() for p in p.iterdir() if p.is_file()]
     if not sources:
         return False
@@ -54,7 +54,7 @@ def is_page_due() -> bool:
 
 
 def has_node() -> bool:
-    """Whether this machine has npm and a Node that is new enough."""
+    """Return whether this machine has npm and a Node that is new enough."""
     node, npm = shutil.which("node"), shutil.which("npm")
     if node is None or npm is None:
         return False
@@ -64,7 +64,7 @@ def has_node() -> bool:
 
 
 def build_page(checked: bool = False) -> str:
-    """By npm, which takes what package-lock.json names and runs no install scripts. What is wrong; empty if nothing.
+    """Build with npm, which takes what package-lock.json names and runs no install scripts; return the fault, or "".
 
     `checked`: types too, before.
     """

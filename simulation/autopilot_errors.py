@@ -1,4 +1,4 @@
-"""What a navigation filter does to position, velocity and attitude beyond noise, as recordings of real ones show it.
+"""Errors of a navigation filter's position, velocity and attitude beyond noise, as recordings of real ones show them.
 
 A filter whose GPS delay is not what it assumes lags along its path (a turn it keeps in time, by its inertial
 sensors) and its velocity lags by less; its level is trimmed wrong and tilts with acceleration; its heading is wrong by
@@ -81,11 +81,11 @@ class ErringFilter:
         return gained / (after - before)[:, None]
 
     def position_m(self, time_s: Array) -> Array:
-        """What the filter's position is off by (N, 3), ENU."""
+        """The error of the filter's position (N, 3), ENU."""
         return self._followed(time_s)[0] - self._errors.position_lag_s * self._trajectory.velocity_enu_m_s(time_s)
 
     def velocity_m_s(self, time_s: Array) -> Array:
-        """What the filter's velocity is off by (N, 3), ENU."""
+        """The error of the filter's velocity (N, 3), ENU."""
         e, acceleration = self._errors, self.acceleration_m_s2(time_s)
         sigma = np.hypot(e.velocity_m_s, e.velocity_per_m_s2 * np.linalg.norm(acceleration, axis=1))
         out: Array = sigma[:, None] * self._velocity(time_s) - e.velocity_lag_s * acceleration
@@ -93,7 +93,7 @@ class ErringFilter:
         return out
 
     def receiver_m(self, time_s: Array) -> Array:
-        """What the receiver's own position is off by (N, 3), ENU: a glitch, from one message to the next."""
+        """The error of the receiver's own position (N, 3), ENU: a glitch, from one message to the next."""
         since = time_s - self._glitch_start_s
         out: Array = ((since >= 0.0) & (since < self._errors.glitch_s))[:, None] * np.array(self._errors.glitch_m)
         return out
@@ -114,7 +114,7 @@ class ErringFilter:
         return turn @ R_ned_body @ exp_so3(np.radians(tilt))
 
     def _followed(self, time_s: Array) -> tuple[Array, Array]:
-        """Of the glitch: how far the filter has followed (N, 3), and how fast it does."""
+        """The filter's response to the glitch: how far it has followed (N, 3), m, and how fast it does, m/s."""
         e = self._errors
         since = time_s - self._glitch_start_s
         there = np.where(since > 0.0, 1.0 - np.exp(-np.maximum(since, 0.0) / e.glitch_follow_s), 0.0)

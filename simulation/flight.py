@@ -39,7 +39,7 @@ class Flight:
 
 @dataclass(frozen=True)
 class RecordedSpec:
-    """Which part of which recording.
+    """A part of a recording.
 
     `recording` is a name in tests/data or ../shared/data/sitl, or a path to either file.
     `start_s` counts from the truth's first row; None begins once the aircraft has reached its usual height. With

@@ -60,11 +60,11 @@ class HeatSource:
         return np.where(inside, ground_k + self.excess_k, np.nan)
 
     def area_m2(self, time_s: float) -> float:
-        """Of the ground that it covers."""
+        """The area of the ground that it covers."""
         return self.mover.length_m * self.mover.width_m
 
     def perimeter_m(self, time_s: float) -> float:
-        """Of its outline."""
+        """The length of its outline."""
         return 2.0 * (self.mover.length_m + self.mover.width_m)
 
     def hottest_k(self, ground_k: float, time_s: float) -> float:
@@ -96,11 +96,11 @@ class Fire:
 
     @property
     def narrow_m(self) -> float:
-        """What is finest in it."""
+        """The size of its finest part."""
         return min(self.depth_m, self.first_m)
 
     def spread_m(self, time_s: float) -> float:
-        """How far from its line it has come; 0 before it burns."""
+        """The distance that it has come from its line; 0 before it burns."""
         return 0.0 if time_s < self.from_s else self.first_m + self.rate_m_s * (time_s - self.from_s)
 
     def reach_m(self, time_s: float) -> float:
@@ -109,7 +109,7 @@ class Fire:
 
     @property
     def length_m(self) -> float:
-        """Of the line that it began as."""
+        """The length of the line that it began as."""
         (e0, n0), (e1, n1) = self.line_m
         return float(np.hypot(e1 - e0, n1 - n0))
 
@@ -133,12 +133,12 @@ class Fire:
         return out
 
     def area_m2(self, time_s: float) -> float:
-        """Of what has burned or burns."""
+        """The area of what has burned or burns."""
         r = self.spread_m(time_s)
         return float(np.pi * r * r + 2.0 * r * self.length_m) if r else 0.0
 
     def perimeter_m(self, time_s: float) -> float:
-        """Of its outline."""
+        """The length of its outline."""
         r = self.spread_m(time_s)
         return float(2.0 * np.pi * r + 2.0 * self.length_m) if r else 0.0
 

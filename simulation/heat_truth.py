@@ -1,4 +1,4 @@
-"""What a simulated thermal camera had before it, written down: each warm thing in each picture that shows it."""
+"""The truth of a simulated thermal camera's pictures, written down: each warm thing in each picture that shows it."""
 
 from __future__ import annotations
 

@@ -20,7 +20,10 @@ FOLDER_VARIABLE = "POINTCLICK_DRAWINGS"
 
 
 def kept(name: str, draw: Callable[[], list[Image]]) -> list[Image]:
-    """What `draw` gives: pictures, float32, any shapes. Without a folder it is generated each time."""
+    """Return the pictures that `draw` makes, float32, any shapes, from the folder if they are kept there.
+
+    Without a folder they are generated each time.
+    """
     folder = os.environ.get(FOLDER_VARIABLE)
     if not folder:
         return draw()

@@ -58,7 +58,7 @@ class MoverSpec:
         return cls(start_m, speed_m_s, course_deg, 4.0, 1.8)
 
     def course_rad(self, time_s: ArrayLike) -> Array:
-        """Where it heads (...,), clockwise from north."""
+        """The direction in which it heads (...,), clockwise from north."""
         return np.radians(self.course_deg + self.turn_deg_s * self._gone_s(time_s))
 
     def place_m(self, time_s: ArrayLike) -> Array:
@@ -78,7 +78,7 @@ class MoverSpec:
         return np.stack([speed * np.sin(course), speed * np.cos(course)], axis=-1)
 
     def _gone_s(self, time_s: ArrayLike) -> Array:
-        """For how long it has moved since the first picture; negative before."""
+        """The time for which it has moved since the first picture, s; negative before."""
         begin, time = (
             min(max(self.from_s, 0.0), self.until_s),
             np.clip(np.asarray(time_s, float), self.from_s, self.until_s),

@@ -137,7 +137,7 @@ class Renderer:
         return light
 
     def view(self, pose: Pose, rows: RowPoses | None = None) -> View:
-        """What ground each pixel looks at, from one pose, or each row from its own; `pose` is then the middle row's."""
+        """Find the ground each pixel looks at, from one pose, or each row from its own; `pose`: the middle row's."""
         ground_m, shade = self._surface(pose, rows)
         R, moved = pose.R_enu_cam.astype(np.float32), np.zeros(3, np.float32)
         if rows is not None:
@@ -194,7 +194,7 @@ class Renderer:
 
     @staticmethod
     def sunlit(slope: Array) -> Array:
-        """How much of the light that level ground gets falls on slopes (N, 2): (N,)."""
+        """The light (N,) that falls on slopes (N, 2), as a multiple of what level ground gets."""
         normal = np.concatenate([-slope, np.ones((len(slope), 1))], axis=1)
         out: Array = (normal @ SUN_ENU) / np.linalg.norm(normal, axis=1) / SUN_ENU[2]
         return out

@@ -203,7 +203,7 @@ def _cameras(spec: SessionSpec, flight: Flight, R_body_cam: Array, time_s: Array
 
 
 def _row_poses(rows: RowsOf, camera: Camera, time_s: float, spec: SessionSpec, count: int) -> list[RowPoses] | None:
-    """Of the moments that `shutter_poses` takes; None of a global shutter."""
+    """The row poses at the moments that `shutter_poses` takes; None of a global shutter."""
     if not spec.readout_s:
         return None
     offsets = ((np.arange(count) + 0.5) / count - 0.5) * spec.sensor.exposure_s

@@ -196,7 +196,7 @@ def _scene(setting: Setting, stamps: Array, rng: np.random.Generator) -> tuple[S
 
 
 def _slips(setting: Setting, truth: State, stamps: Array, count: int, rng: np.random.Generator) -> Array:
-    """What wrong tracks add (K, count, 2): a jump to a neighbour, a steady drift, a vehicle's motion; a third each."""
+    """Errors of wrong tracks (K, count, 2): jump to a neighbour, steady drift, a vehicle's motion; a third each."""
     K = len(stamps)
     out = np.zeros((K, count, 2))
     heading = rng.uniform(0.0, 2.0 * np.pi, count)
@@ -264,7 +264,7 @@ def _sensors(
 
 
 def begin(flight: Flight) -> State | None:
-    """Where the solver starts, from measurements alone, as in `window_solver`; None if no orientation is found."""
+    """The solver's first state, from measurements alone, as in `window_solver`; None if no orientation is found."""
     xy, seen = flight.problem.xy, flight.seen
     if flight.R_enu_cam_measured is not None:
         R = flight.R_enu_cam_measured.transpose(0, 2, 1)

@@ -70,12 +70,12 @@ class Terrain:
 
     @property
     def has_obstacles(self) -> bool:
-        """Whether the surface has walls, so that neighbouring pixels may see very different depths."""
+        """True if the surface has walls, so that neighbouring pixels may see very different depths."""
         return self.spec.obstacles != "none"
 
     @property
     def is_flat(self) -> bool:
-        """Whether the ground is level everywhere."""
+        """True if the ground is level everywhere."""
         return not self.has_obstacles and self.spec.relief_m == 0.0
 
     def _draw_cells(self, rng: np.random.Generator) -> Array:
@@ -132,7 +132,7 @@ class Terrain:
         return out
 
     def cast(self, centre_m: ArrayLike, rays: ArrayLike, max_depth: float = 2e4) -> tuple[Array, Mask]:
-        """Where rays from one centre (3,) first meet the ground.
+        """Find where rays from one centre (3,) first meet the ground.
 
         `rays` (N, 3) in ENU axes, any length. Returns the multiple of each ray (N,) that reaches the surface and
         whether it does within `max_depth` multiples (a ray at the sky, or from below the ground, does not).
@@ -158,7 +158,7 @@ class Terrain:
 
     @staticmethod
     def _cross_level(centre: Array, rays: Array, level_m: float) -> tuple[Array, Mask]:
-        """Where rays cross level ground at `level_m`: the smaller root of a quadratic, for the Earth is round."""
+        """Intersect rays with level ground at `level_m`: the smaller root of a quadratic, for the Earth is round."""
         x, y, z = centre
         dx, dy, dz = np.moveaxis(rays, -1, 0)
         a = (dx * dx + dy * dy) / (2.0 * EARTH_RADIUS_M)

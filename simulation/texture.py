@@ -1,4 +1,4 @@
-"""What the ground looks like: a brightness at every ground point, generated from a seed, that does not repeat.
+"""The look of the ground: a brightness at every ground point, generated from a seed, that does not repeat.
 
 Periodic pictures of incommensurate periods and bearings are added: grain at two sizes (grass and stones), land (fields,
 hedges, tracks, shrubs) and country (broad patches of hundreds of metres). Each is kept as an image pyramid and
@@ -157,7 +157,7 @@ def _layers(style: str, seed: int, row_spacing_m: float) -> tuple[Layer, ...]:
 
 @lru_cache(maxsize=1)
 def _traffic(seed: int, spacing: int) -> tuple[Tile, Tile]:
-    """Where vehicles are and how bright, in lanes along their motion, one in `spacing` texels."""
+    """Positions and brightness of vehicles, in lanes along their motion, one in `spacing` texels."""
     bearing = float(np.arctan2(VEHICLE_M_S[1], VEHICLE_M_S[0]))
     where, paint = draw_vehicles(np.random.default_rng([seed, 203]), spacing)
     return Tile(where, 0.25, bearing), Tile(paint, 0.25, bearing)

@@ -1,4 +1,4 @@
-"""What a thermal camera sees of the synthetic ground: temperatures, warm things, and a microbolometer's own faults.
+"""A thermal camera's view of the synthetic ground: temperatures, warm things, and a microbolometer's own faults.
 
 The ground is that of the visible renderer, its layers as differences of temperature: roads and bare soil in the sun are
 warm, hedges and shrubs cool, water is level. Everything is mixed as radiance (the fourth power of temperature), through
@@ -78,7 +78,7 @@ class ThermalSpec:
 
     @property
     def is_radiometric(self) -> bool:
-        """Whether counts are temperatures by `scale`."""
+        """True if counts are temperatures by `scale`."""
         return self.output == "radiometric"
 
     @property
@@ -167,7 +167,7 @@ class ThermalRenderer:
         return [*rocks, *s.emitters]
 
     def _in_view(self, pose: Pose, v: View, after_s: float) -> list[HeatSource | Fire]:
-        """Those that lie within the rectangle, east and north, that the picture shows, or reach into it."""
+        """The sources that lie within the rectangle, east and north, that the picture shows, or reach into it."""
         if not v.is_seen.any():
             return []
         ground = np.stack([v.east_m[v.is_seen], v.north_m[v.is_seen]], axis=-1)
@@ -227,7 +227,7 @@ class ThermalRenderer:
         return np.asarray(np.float32(100.0) * radiance**0.25, np.float32)
 
     def _pattern_k(self, after_s: float) -> Image:
-        """What the sensor itself adds (H, W): pixels, columns and shading, fixed from one shutter event to the next."""
+        """The sensor's own pattern, K (H, W): pixels, columns and shading, fixed from one shutter event to the next."""
         past = [s for s in self.spec.shutter_s if s <= after_s]
         begun_s = max(past, default=0.0)
         fixed, drift = (_pattern(self.camera.size_px, [self._seed, kind, len(past)]) for kind in (909, 910))

@@ -1,4 +1,4 @@
-"""What really was: the ground point behind any pixel of any picture, and the pixel of any ground point."""
+"""The truth of a flight: the ground point behind any pixel of any picture, and the pixel of any ground point."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class GroundPoints:
 
 @dataclass(frozen=True, eq=False)
 class Optics:
-    """How rows are exposed, and the camera and the moment (s after the epoch) of each picture."""
+    """The exposure of rows, and the camera and the moment (s after the epoch) of each picture."""
 
     rows: RowsOf
     cameras: list[Camera]
@@ -105,7 +105,7 @@ class Truth:
         return self.camera.project((np.asarray(enu_m, float) - pose.centre_m) @ pose.R_enu_cam)
 
     def sees(self, frame: int, enu_m: ArrayLike, tolerance_m: float = 0.05) -> Mask:
-        """Whether ground points (N, 3) are on a picture and visible, with no hill or wall between."""
+        """Mask (N,) of the ground points (N, 3) that are on a picture and visible, with no hill or wall between."""
         points = np.asarray(enu_m, float)
         _, on_picture = self.project(frame, points)
         rays = points - self.poses[frame].centre_m

@@ -7,13 +7,13 @@ from typing import Protocol
 
 
 class Clock(Protocol):
-    """What the autopilot takes its time from."""
+    """The clock from which the autopilot takes its time."""
 
     def now_ns(self) -> int:
         """Now."""
 
     def wall_s(self, ns: int) -> float:
-        """How long so much of this clock's time takes."""
+        """Real seconds in which so much of this clock's time passes."""
 
 
 class HostClock:

@@ -28,7 +28,7 @@ KEEP = 50_000  # messages kept for later queries
 
 @dataclass(frozen=True)
 class Faults:
-    """What the link does to packets, both ways. Jitter lets packets overtake each other."""
+    """The faults of the link, both ways. Jitter lets packets overtake each other."""
 
     loss: float = 0.0  # share of packets
     corrupt: float = 0.0  # share of packets whose bytes are changed, cut, or preceded by garbage
@@ -148,12 +148,12 @@ class FakeAutopilot:
 
     @property
     def is_over(self) -> bool:
-        """Whether the recording has been played to its end."""
+        """True once the recording has been played to its end; never for one played in a loop."""
         return self._next >= len(self._messages) and not self.loop
 
     @property
     def boots(self) -> int:
-        """How often it has booted."""
+        """The number of boots so far."""
         return len(self._boots)
 
     def received_of(self, name: str) -> list[Any]:
@@ -235,7 +235,7 @@ class FakeAutopilot:
                 self._pass_until(FRESH_BOOT_NS - shift)
 
     def _skip(self, now: int) -> None:
-        """What is not sent while silent is never sent."""
+        """Drop the messages that were due while it was silent: they are never sent."""
         if now >= self._boots[-1].monotonic_ns:
             self._pass_until(self._boot_ns(now) - self._boots[-1].shift_ns)
             while self._begins_again():
@@ -268,7 +268,7 @@ class FakeAutopilot:
         self._begins_again()
 
     def _begins_again(self) -> bool:
-        """At the recording's end, if it is played in a loop: from its beginning, boot clock running on."""
+        """Start a looped recording again at its end, boot clock running on; return whether it did."""
         if self._next < len(self._messages) or not self.loop:
             return False
         run, self._next = self._boots[-1], 0

@@ -88,7 +88,7 @@ def moved(message: Any, shift_ns: int) -> Any:
 
 
 def as_px4(message: Any) -> Any:
-    """What PX4 sends in its place: its filter reports by ESTIMATOR_STATUS, its simulated receiver has no clock."""
+    """The message PX4 sends in its place: its filter reports by ESTIMATOR_STATUS, its simulated GPS has no clock."""
     name = message.get_type()
     if name == "EKF_STATUS_REPORT":
         flags = message.flags & 0x3FF

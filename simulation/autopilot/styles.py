@@ -1,4 +1,4 @@
-"""How autopilots answer: which rates they send unasked, what they grant, what they refuse."""
+"""Styles of autopilots: which rates they send unasked, what they grant, what they refuse."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ STYLES = {
 
 @dataclass
 class Rates:
-    """What is sent how often on one link since one boot. `names`: messages this autopilot can send at all."""
+    """The rates of messages on one link since one boot. `names`: messages this autopilot can send at all."""
 
     style: Style
     names: set[str]
@@ -94,11 +94,11 @@ class Rates:
                 self.asked_hz[name] = min(rate_hz, self.style.max_hz)
 
     def rate_hz(self, name: str) -> float:
-        """How often a message is sent now."""
+        """The rate at which a message is sent now."""
         return self.asked_hz.get(name, self.style.unasked_hz.get(name, self.style.others_hz))
 
     def is_due(self, name: str, now_ns: int) -> bool:
-        """Whether the next message of a recording goes out, to keep its rate on average."""
+        """Return whether the next message of a recording goes out, to keep its rate on average."""
         if self.everything:
             return True
         rate_hz = self.rate_hz(name)

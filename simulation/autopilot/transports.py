@@ -27,7 +27,7 @@ class Wire(Protocol):
         """Pass on one packet; dropped where there is no receiver."""
 
     def receive(self, timeout_s: float) -> bytes:
-        """What has come in, waiting at most that long for it; empty if nothing has."""
+        """Return the bytes that have come in, waiting at most that long for them; empty if none have."""
 
     def unplug(self) -> None:
         """Break the link as a pulled cable would."""
