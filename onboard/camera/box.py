@@ -27,7 +27,7 @@ OF_FILES = 0b111  # execute, write, read
 PR_SET_NO_NEW_PRIVS = 38
 NO_NETWORK = "--no-network"
 PR_SET_SECCOMP, MODE_FILTER = 22, 2
-# Of each machine: its number for seccomp (AUDIT_ARCH_...) and that of its call for sockets.
+# Each machine has a number for seccomp (AUDIT_ARCH_...) and one of its call for sockets.
 MACHINES = {"x86_64": (0xC000003E, 41), "aarch64": (0xC00000B7, 198)}
 IO_URING_SETUP = 425  # by which sockets are made without that call
 OTHER_NUMBERING = 0x40000000  # x32's calls on x86-64

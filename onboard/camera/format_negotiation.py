@@ -42,7 +42,7 @@ def choose_format(
 def offer(device: Device) -> str:
     """Formats and sizes of a device in one line."""
     parts = [f"{fourcc} {sizes_text(device.sizes(fourcc))}".strip() for fourcc in device.formats()]
-    # What we can decode first.
+    # Formats that we can decode come first.
     parts.sort(key=lambda part: part.split()[0] not in DECODERS)
     more = f"; and {len(parts) - _SHOWN} more formats" if len(parts) > _SHOWN else ""
     return "; ".join(parts[:_SHOWN]) + more if parts else "nothing"

@@ -431,7 +431,7 @@ class Player:
             found[SEI] = sei_ns
         flags = self.Gst.BufferFlags
         is_gap, is_key = buffer.has_flags(flags.DISCONT), not buffer.has_flags(flags.DELTA_UNIT)
-        # By the stream's time where it has one: a computer that stands still heals nothing.
+        # The stream's time counts where it has one: a computer that stands still heals nothing.
         passed_ns = arrival_ns if buffer.pts == self.Gst.CLOCK_TIME_NONE else buffer.pts
         self._known[buffer.pts] = arrival_ns, found, self._whole.see(is_gap, is_key, passed_ns)
         while len(self._known) > HELD:

@@ -206,7 +206,7 @@ def _by_equivalent(details: Mapping[int, object], size_px: tuple[int, int], mode
     if not is_three_halves and abs(shape / THREE_HALVES - 1.0) < SAME_SHAPE:
         sensor = THREE_HALVES
     is_whole = abs(shape / sensor - 1.0) < SAME_SHAPE
-    # Of the whole sensor's two sides one is the picture's.
+    # One of the whole sensor's two sides is the picture's.
     across_px = long_px if shape >= sensor else short_px * sensor
     diagonal_px = math.hypot(long_px, short_px) if is_whole else across_px * math.hypot(1.0, 1.0 / sensor)
     focal_px = equivalent_mm / FULL_FRAME_DIAGONAL_MM * diagonal_px

@@ -12,7 +12,7 @@ from PIL import Image
 
 Grey = NDArray[np.uint8]
 
-# What Pillow raises for what is not, or is no longer, a picture (SyntaxError: a PNG with a broken chunk).
+# Pillow raises these for data that is not, or is no longer, a picture (SyntaxError: a PNG with a broken chunk).
 UNDECODABLE = (OSError, ValueError, SyntaxError, EOFError, Image.DecompressionBombError)
 
 # Sixteen-bit pictures: the darkest and brightest hundredth may saturate, and so many counts at least fill the grey

@@ -33,7 +33,7 @@ APART_S = 1.5  # between two pictures of a pair, about
 # One sigma of the height over the ground as a share, of a match, of the ground's relief (of the height), of a position
 # against the next.
 SIGMA_HEIGHT, SIGMA_MATCH_RAD, RELIEF, PLACE_M = 0.3, 0.003, 0.05, 0.5
-# How an attitude that only the path shows may be off from picture to picture: a gimbal's, or a banking aircraft's.
+# An attitude that only the path shows may be off by any of these between two pictures, by a gimbal or in a bank.
 BY_PATH_DEG = (0.5, 2.0, 6.0)
 # A log that begins in the air does not show how high: any of these, to a factor of two.
 BASES_M, SIGMA_BASE = (30.0, 80.0, 200.0), 0.6

@@ -26,7 +26,7 @@ from onboard.telemetry.telemetry_log import TelemetryLog
 # mapping draws (k1 of lenses as they are sold: within some hundredths), how level a gimbal holds, how well a camera is
 # screwed below an aircraft.
 SIGMA_CENTRE, SIGMA_K1, SIGMA_GIMBAL_DEG, SIGMA_MOUNT_DEG = 0.01, 0.03, 1.0, 5.0
-# Of a camera that states nothing: between the lenses of small aircraft (50 to 90 degrees), and their distortion.
+# A camera that states nothing is given the lenses of small aircraft: 50 to 90 degrees, and their distortion.
 UNKNOWN_FOV_DEG, SIGMA_UNKNOWN_FOCAL, SIGMA_UNKNOWN_K1 = 70.0, 0.2, 0.1
 SIGMA_GIVEN_FOCAL = 0.03  # of a field of view that a person gives
 READOUT_S, SIGMA_READOUT_S = 0.02, 0.02  # of small cameras, which read row by row unless they state otherwise

@@ -15,7 +15,7 @@ from onboard.commands.preflight import (
     RATE_SHARE,
 )
 
-# By the line's name: what is looked at and its limit; then what to do.
+# Each line's name has two texts: what is looked at and its limit; then what to do.
 MEANING: dict[str, tuple[str, str]] = {
     "state": (
         "The state in a word, as `pc-onboard status` has it: the first finding below that is bad.",

@@ -59,7 +59,7 @@ class Surroundings:
     decoders: str = ""  # what decodes the camera's stream; empty where it is none
 
 
-# Of what is judged, that which can be seen without a daemon; and what has lines of its own.
+# The first can be judged without a daemon; the second have lines of their own.
 SEEN_ALONE = (Subject.CAMERA, Subject.TELEMETRY, Subject.GPS)
 OWN_LINES = (Subject.SENSORS, Subject.THERMAL_CAMERA)
 
@@ -132,7 +132,7 @@ def _answers(report: Report) -> str:
     return f"{status.ok_hz:.1f} pictures a second can be clicked, {pictures.solved} of {pictures.handled} so far"
 
 
-# How a thing is when nothing is amiss with it.
+# The words on a thing when nothing is amiss with it.
 _WELL: dict[Subject, Callable[[Report], str]] = {
     Subject.PIPELINE: lambda report: f"moves, {report.status.delay_s:.2f} s from capture to set",
     Subject.CAMERA: lambda report: _source(report.camera),

@@ -29,11 +29,11 @@ CONNECT_BYTES = 600
 SECURE_CONNECT_BYTES = 1850
 PACKET_BYTES = 1500
 BURST_S = 0.5
-# What status and replies may take at most: without tracks at least 0.35 stays for sets.
+# Status and replies may take these shares at most: without tracks at least 0.35 stays for sets.
 STATUS_SHARE, REPLY_SHARE = 0.25, 0.4
 TRACK_SHARE = 0.2  # of reports of tracks: of one twice a second from 12 kbit/s on, of eight from 45
 SPOT_SHARE = 0.1  # of hot spots: of two full packets a second from 47 kbit/s on
-# What older pictures' sets may take from new ones; else they go in what those leave. So many for each new one at most.
+# Older pictures' sets may take this share from new ones, else what those leave; and so many for each new one at most.
 OLDER_SHARE, OLDER_A_NEW = 0.1, 0.5
 PIECE_SHARE = 0.95  # of the time that a set leaves until the next one, that a packet of a picture may take
 LEAST_PIECE = 300  # bytes, below which its head would be most of it
@@ -60,7 +60,7 @@ class Kind(Enum):
     PICTURE = "picture"
 
 
-# How long each waits for bytes before new sets are held back for it. An older set has waited for its small share.
+# Each kind waits this long for bytes before new sets are held back for it. An older set has waited for its small share.
 PATIENCE_S = {Kind.STATUS: 0.8, Kind.TRACK: 0.5, Kind.SPOTS: 0.5, Kind.REPLY: 0.8, Kind.REPORT: 0.8, Kind.OLDER: 0.0}
 
 

@@ -28,7 +28,7 @@ from onboard.link.reply import Answer, Question
 
 MAX_WAITING = 8  # questions, and answers
 MAX_KEPT = 32  # answers, to be sent again
-# Of the time that an answer takes at our bit rate: asked again sooner, it is under way and not lost.
+# An answer counts as under way for this many times what it takes at our bit rate: asked again sooner, it is not lost.
 UNDER_WAY = 1.5
 IDLE_S = 0.5
 # Times that an answer went and its question came again: a radio that loses a tenth does that once in a thousand clicks.

@@ -50,7 +50,7 @@ SOURCE_LATE_S = 10.0  # a source asks each second whether to end; opening a devi
 SNAPSHOT_NS = 1_000_000_000
 KEEP_S = 30.0  # between writes of what was learned
 REPEAT_NS = 60_000_000_000  # between lines of the log about the same thing
-# What encoding a set raises if a number in it has no place on the wire.
+# Encoding a set raises one of these if a number in it has no place on the wire.
 UNENCODABLE = (ValueError, ArithmeticError, struct.error)
 
 log = logging.getLogger("pointclick")

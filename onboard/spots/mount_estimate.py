@@ -20,7 +20,7 @@ GATE = 18.4  # chi-square of two degrees of freedom at 1e-4
 MOST_THINGS, MOST_VIEWS = 40, 20
 LEAST_THINGS = 2  # that must agree
 LEAST_OWN_M = 0.1  # one sigma of what is taken for a thing's middle
-# Of chi-square with n degrees of freedom, by Wilson and Hilferty: what 1 of 1000 exceed.
+# The normal law's value that 1 of 1000 exceed gives chi-square's with n degrees of freedom (Wilson and Hilferty).
 NORMAL_999 = 3.09
 
 
@@ -88,7 +88,7 @@ class MountEstimate:
         is_new_view = False
         for one, things in zip(corrected, near, strict=True):
             just = [thing for thing in things if now_s - thing.newest.seen_s <= VIEW_S]
-            # Of a thing that was seen earlier only if it is of no other, and no other spot is of that thing.
+            # It is of a thing seen earlier only if it is of no other, and no other spot is of that thing.
             if len(just or things) > 1 or sum(things[0] in other for other in near if things and not just) > 1:
                 continue
             thing = (just or things or [self._new_thing(now_s)])[0]

@@ -44,7 +44,7 @@ FIELDS = {
     "CAM": ("GWk",),
     "TRIG": ("GWk",),
 }
-# What a field was called before, in the order in which the names are looked for.
+# The earlier names of a field, in the order in which they are looked for.
 FORMERLY = {"GMS": ("GPSTimeMS", "TimeMS"), "GWk": ("Week",), "RelHomeAlt": ("RelAlt",)}
 METRES_A_DEGREE = 111_320.0
 FAST, FAST_US = {"IMU", "KF1", "KF4"}, 3000  # may be logged at a loop's rate, of which no more than this is used

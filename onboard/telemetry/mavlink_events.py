@@ -246,7 +246,7 @@ def _mount_orientation(message: Any, stamp_ns: int) -> GimbalAttitude | None:
     return GimbalAttitude(stamp_ns, q, reference) if math.isfinite(q[0]) else None
 
 
-# What is made of a gimbal's messages; the first is the newer one.
+# These make an event of a gimbal's messages; the first is the newer one.
 GIMBAL_EVENTS: dict[str, Callable[[Any, int], GimbalAttitude | None]] = {
     "GIMBAL_DEVICE_ATTITUDE_STATUS": _gimbal,
     "MOUNT_ORIENTATION": _mount_orientation,
@@ -257,7 +257,7 @@ def _zoom(value: float, stamp_ns: int, unit: Literal["percent", "hfov_deg"]) -> 
     return Zoom(stamp_ns, value, unit) if math.isfinite(value) else None
 
 
-# What is made of a camera's messages; a value that is not known is NaN.
+# These make an event of a camera's messages; a value that is not known is NaN.
 ZOOM_EVENTS: dict[str, Callable[[Any, int], Zoom | None]] = {
     "CAMERA_FOV_STATUS": lambda message, stamp_ns: _zoom(message.hfov, stamp_ns, "hfov_deg"),
     "CAMERA_SETTINGS": lambda message, stamp_ns: _zoom(message.zoomLevel, stamp_ns, "percent"),

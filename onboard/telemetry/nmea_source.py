@@ -41,7 +41,7 @@ HUNG_NS = 10 * NS_PER_S
 # GGA's quality -> GPS_FIX_TYPE. Dead reckoning (6), entered by hand (7) and simulated (8) are no fixes.
 FIX_TYPES = {1: 3, 2: 4, 3: 3, 4: 6, 5: 5}
 NO_FIX = 1
-# Where the receiver gives no deviations: one sigma of a range (m), scaled by the dilution; heights are twice as bad.
+# Without deviations from the receiver, one sigma of a range (m) is scaled by the dilution; heights are twice as bad.
 RANGE_SIGMA_M = 2.5
 
 

@@ -15,7 +15,7 @@ from onboard.events.types import FilterStatus, GpsQuality, NavEvent, PositionFix
 Array = NDArray[np.float64]
 
 NS_PER_S = 1_000_000_000
-# Of reports on positions that stand in a file: often enough for `gps.quality_timeout_s` at its least.
+# Reports on positions that stand in a file come this often: enough for `gps.quality_timeout_s` at its least.
 REPORT_NS = 400_000_000
 MAX_GAP_S = 10.0  # positions farther apart are joined by no configuration
 
