@@ -118,7 +118,9 @@ def _judged(f: Array) -> Array:
 
 
 def change(name: str, on: Array, off: Array) -> tuple[list[str], list[str]]:
-    """What is worse without a mechanism on a flight, and what is better, beyond the interval of the draws, in words."""
+    """The figures that are worse without a mechanism on a flight, and those that are better, beyond the interval of the
+    draws, in words.
+    """
     worse: list[str] = []
     better: list[str] = []
     judged, steps = _judged(off) - _judged(refused_as_right(on)), differences(on, off)

@@ -96,7 +96,7 @@ class VibratingRows(RowsOf):
     """Rows of such a camera."""
 
     def poses(self, camera: Camera, time_s: float, v_px: Array) -> tuple[Array, Array]:
-        """As for a camera that only flies, and swung."""
+        """The poses of a camera that only flies, and swung."""
         R_enu_cam, centres = super().poses(camera, time_s, v_px)
         share = np.clip(v_px, 0.0, camera.height_px) / camera.height_px - 0.5
         swing = SWING_RAD * np.sin(2.0 * np.pi * SWING_HZ * (time_s + self.readout_s * share))
@@ -112,7 +112,7 @@ class OtherAttitudes(SampledFlight):
             yield from self.sent(event, event.stamp_ns / 1e9 % 1e4) if isinstance(event, Attitude) else (event,)
 
     def sent(self, attitude: Attitude, time_s: float) -> tuple[Event, ...]:
-        """What is sent for an attitude."""
+        """The events that are sent for an attitude."""
         return (attitude,)
 
 
@@ -141,11 +141,11 @@ class _Drifting:
         return np.append(WATER_M_S * float(self.flight.times_s[frame]), 0.0)
 
     def ground_points(self, frame: int, uv_px: Array) -> Array:
-        """Where on the pattern."""
+        """Points of the moving pattern at pixels."""
         return self.flight.ground_points(frame, uv_px) - self._moved_m(frame)
 
     def pixels(self, frame: int, points: Array) -> tuple[Array, Mask]:
-        """Of places on the pattern."""
+        """Pixels of points of the moving pattern, and whether they are seen."""
         return self.flight.pixels(frame, points + self._moved_m(frame))
 
 
@@ -158,7 +158,7 @@ class WaterTracker(SampledTracker):
         self._of, self._before = flight, 0
 
     def promote(self, tracks: Tracks) -> tuple[NDArray[np.int64], Array]:
-        """With the disagreement since the keyframe before."""
+        """Make the last picture the keyframe, and note the disagreement since the keyframe before."""
         out = super().promote(tracks)
         seconds = float(self._of.times_s[self._frame] - self._of.times_s[self._before])
         height_m = float(self._of.centres_enu_m[self._frame, 2])
@@ -171,7 +171,7 @@ class GimbalFlight(OtherAttitudes):
     """Photographs of a camera that a gimbal holds level under a vehicle that leans forward and rolls slowly."""
 
     def sent(self, attitude: Attitude, time_s: float) -> tuple[Event, ...]:
-        """It as that of the gimbal, and a vehicle's that leans."""
+        """The attitude of a vehicle that leans, and the given one as that of the gimbal."""
         R_ned_level = matrix_from_quaternion(attitude.q_ned_body)
         body = R_ned_level @ matrix_from_euler(0.05 * np.sin(0.9 * time_s), -0.26, 0.0)
         heading = float(np.arctan2(body[1, 0], body[0, 0]))
@@ -209,7 +209,7 @@ WRONG_TRACKS: dict[str, Any] = {
 
 
 def own() -> dict[str, tuple[Trial, ...]]:
-    """By the name of the mechanism."""
+    """The flights that each mechanism exists for, by its name."""
     late = recorded("plane_wind_noise", fault="late", seconds=ORDINARY_SECONDS)
     climb, quadplane = sampled("climb, camera + GPS", config=GPS_ONLY, path=CLIMB), recorded("qp_transition", "gps")
     steep_climb = sampled("steep climb, camera + GPS", config=GPS_ONLY, path=replace(CLIMB, speed_m_s=1.0))

@@ -106,7 +106,7 @@ def compare(base: Path, flight: Path, turns: int, pictures: int) -> tuple[list[T
 
 
 def report(commit: str, before: list[Turn], now: list[Turn]) -> str:
-    """What both took, and the ratio."""
+    """The processor time of both, by stage, and the ratio."""
     ratios = [b.picture_ms / a.picture_ms for a, b in zip(before, now, strict=True)]
     ratio = float(np.median(ratios))
     rows = []

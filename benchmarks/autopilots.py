@@ -203,7 +203,7 @@ class Wander:
 
 
 class ReplayedTracker(SampledTracker):
-    """As simulated, but no feature where the picture shows no ground."""
+    """A simulated tracker that has no feature where the picture shows no ground."""
 
     def promote(self, tracks: Tracks) -> tuple[NDArray[np.int64], Array]:
         """The last picture becomes the keyframe; what showed no ground is no feature."""
@@ -245,7 +245,7 @@ def judge(scene: Scene, seed: int, warm_s: float = 30.0) -> Score:
 
 
 def _flat(scene: Scene, flight: ReplayedFlight, k: int, uv: Array) -> tuple[Array, Array]:
-    """Where the pixel's ray from the autopilot's pose through the true mount meets level ground at home's height.
+    """Meet level ground at home's height with the pixel's ray, from the autopilot's pose through the true mount.
 
     Also what the autopilot's position is off by at that moment, (2,) east and north.
     """
@@ -319,7 +319,7 @@ def jobs_of(args: argparse.Namespace) -> list[Job]:
 
 
 def seed_of(name: str, seed: int) -> int:
-    """Of a recording's first draw: its own, so that not all recordings get one and the same error of positions."""
+    """The seed of a recording's first draw: its own, so that not all recordings get the same error of positions."""
     return seed + 1000 * (zlib.crc32(Path(name).name.encode()) % 1000)
 
 
@@ -364,7 +364,6 @@ def some_of(known: Collection[str]) -> Callable[[str], list[str]]:
 
 
 def arguments(argv: list[str] | None = None) -> argparse.Namespace:
-    """What was asked for on the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--recordings", default="plane_clean,plane_wind_noise,plane_breeze,plane_log")
     parser.add_argument("--mounts", type=some_of(MOUNTS), default="nadir")

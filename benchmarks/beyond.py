@@ -93,7 +93,7 @@ def clicked(
 
 
 def switched(is_on: bool) -> AbstractContextManager[object]:
-    """With (9.19), or as if the outermost features were always as far off as stated."""
+    """Switch (9.19) on, or off: as if the outermost features were always as far off as stated."""
     return nullcontext() if is_on else patch.object(Kriging, "_shown_beyond", lambda _: 1.0)
 
 

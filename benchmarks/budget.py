@@ -82,7 +82,7 @@ class TimedStandingParts(StandingParts):
     seen: ClassVar[list[tuple[float, bool]]] = []
 
     def see(self, image: Picture, motions: Sequence[Array | None]) -> bool:
-        """As it does."""
+        """Take the picture as the base class does, and note the time."""
         before, began = self._reference, time.thread_time_ns()
         out = super().see(image, motions)
         self.seen.append(((time.thread_time_ns() - began) / 1e3, self._reference is not before))
@@ -90,7 +90,7 @@ class TimedStandingParts(StandingParts):
 
     @classmethod
     def mean_us(cls) -> tuple[float, float]:
-        """Of all pictures, and of those that were compared (NaN if none was)."""
+        """The mean times of all pictures, and of those that were compared (NaN if none was)."""
         times, compared = (np.array(column) for column in zip(*cls.seen[WARM_UP:], strict=True))
         return float(times.mean()), float(times[compared.astype(bool)].mean()) if compared.any() else float("nan")
 
@@ -161,7 +161,7 @@ def _counted(work: str, size: str, features: int, pictures: int) -> int:
 
 
 def only(work: str, size_px: tuple[int, int], features: int, pictures: int) -> None:
-    """What valgrind counts: fly some pictures, or only draw them."""
+    """Do the work that valgrind counts: fly some pictures, or only draw them."""
     made, camera = prepared(size_px, features)
     if work == "fly":
         measure(made.config, camera, made.events(), lambda n: n >= pictures)

@@ -109,7 +109,7 @@ def peer(recording: Path) -> Iterator[str]:
 
 
 def serve(recording: Path, endpoint: str) -> None:
-    """What the live peer does."""
+    """Publish the recording's last thousand sets until stdin ends: the live peer."""
     from ground.recording import Recording  # noqa: PLC0415
 
     held = Recording(recording)

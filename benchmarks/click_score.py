@@ -1,4 +1,4 @@
-"""What clicks of a flight with known truth score: errors, coverage and sharpness, by bank and by minute of flight.
+"""Scores of clicks of a flight with known truth: errors, coverage and sharpness, by bank and by minute of flight.
 
 Sharpness is the 90th percentile of each click's error over its own 90 % ellipse, sqrt(Mahalanobis^2 / chi2_90): 1 is
 right, 0.5 is an ellipse twice too wide, 2 one twice too small. Coverage alone cannot distinguish the first two.
@@ -32,7 +32,7 @@ POOLED_GOAL, FLIGHT_GOAL, COVERAGE_GOAL = (0.85, 1.1), (0.7, 1.15), (0.85, 0.96)
 
 @dataclass
 class Score:
-    """What one scene gave, one entry a click."""
+    """The score of one scene, one entry a click."""
 
     chi2: list[float] = field(default_factory=list)
     error_m: list[float] = field(default_factory=list)
@@ -62,7 +62,7 @@ class Bin:
 
     @classmethod
     def of(cls, ratio: Array) -> Bin | None:
-        """From errors over their own 90 % ellipse (N,); None where there are too few."""
+        """Make a bin from errors over their own 90 % ellipse (N,); None where there are too few."""
         if len(ratio) < FEWEST:
             return None
         return cls(len(ratio), float(np.mean(ratio < 1.0)), float(np.quantile(ratio, 0.9)))

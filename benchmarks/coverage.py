@@ -41,7 +41,7 @@ FAR_S = 6.0
 
 @dataclass
 class Counts:
-    """What one flight gives: squared normalised errors, and a few errors in metres."""
+    """The figures of one flight: squared normalised errors, and a few errors in metres."""
 
     clicks: list[float] = field(default_factory=list)  # chi-square, 2
     one_set: list[float] = field(default_factory=list)
@@ -145,7 +145,7 @@ def _enu(answer: Fix) -> Array:
 
 
 def _pose_nees(flight: SampledFlight, frame: int, s: FeatureSet) -> float:
-    """Of the six pose states, over six."""
+    """The squared normalised error of the six pose states, over six."""
     centre = PLACE.to_enu(s.camera_lat_deg, s.camera_lon_deg, s.camera_height_m)
     R_place_here = PLACE.R_enu_ecef @ rotation_enu_ecef(s.camera_lat_deg, s.camera_lon_deg).T
     turn = log_so3(flight.R_enu_cam[frame] @ (R_place_here @ s.R_enu_cam).T)

@@ -73,7 +73,7 @@ class Program:
         print(line, file=self.process.stdin, flush=True)
 
     def end(self) -> None:
-        """It writes what it has."""
+        """Close its input, so that it writes what it has, and wait for its end."""
         assert self.process.stdin is not None
         self.process.stdin.close()
         assert self.process.wait(120.0) == 0
@@ -133,7 +133,7 @@ class Station:
         return time.time_ns()
 
     def close(self) -> tuple[Rows, Rows]:
-        """What was said, and what the operators that were never stopped received."""
+        """End all programs; the rows of what was sent, and of what the operators that were never stopped received."""
         for program in (self.aircraft, self.operators, self.slow):
             program.end()
         self.router.process.terminate()
@@ -188,7 +188,10 @@ def lost_and_late(
 
 
 def newest_within_s(received: Rows, served_ns: int, aircraft: int, operators: int) -> float:
-    """From when the router served again until every operator had a set of every aircraft that was published since."""
+    """Seconds from when the router served again until every operator had a newly published set of every aircraft.
+
+    Infinite if one never had.
+    """
     since = received[(received[:, 3] >= served_ns)]
     first: dict[tuple[int, int], int] = {}
     for operator, vehicle, _, _, at in since[np.argsort(since[:, 4], kind="stable")].tolist():

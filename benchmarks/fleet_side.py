@@ -80,7 +80,7 @@ class Aircraft:
 
 @dataclasses.dataclass(frozen=True)
 class Way:
-    """To the router."""
+    """The connection to the router."""
 
     endpoint: str
     keys: Path

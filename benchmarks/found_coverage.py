@@ -61,7 +61,7 @@ EACH_S = 0.5  # a track's place is asked for
 
 @dataclass
 class Found:
-    """Of one flight, squared errors over their covariances: of every spot, of every thing, of tracks."""
+    """The squared errors of one flight over their covariances: of every spot, of every thing, of tracks."""
 
     spots: list[float] = field(default_factory=list)
     things: list[float] = field(default_factory=list)
@@ -231,7 +231,7 @@ class Plane:
         self._west, self._south = middle - 0.5 * FIELD_M
 
     def point(self, car: MoverSpec, time_s: float) -> Array:
-        """Where a car is (3,)."""
+        """The place of a car (3,)."""
         place = car.place_m(time_s)
         return np.array([*place, float(self._flight.ground.height_m(place))])
 
@@ -266,7 +266,7 @@ class Plane:
 
 
 def nearest(uv: Array, seen: NDArray[np.bool_], u_px: float, v_px: float) -> int | None:
-    """Which of the points at pixels (N, 2) is at a pixel; None if none is."""
+    """The index of the point, of those at pixels (N, 2), that is at a pixel; None if none is."""
     off = np.where(seen, np.hypot(*(uv - (u_px, v_px)).T), np.inf)
     k = int(np.argmin(off))
     return k if off[k] < SAME_PX else None
@@ -280,7 +280,7 @@ def chi2_of(place: Place, true_m: Array) -> float:
 
 
 def share_inside(per_flight: list[list[float]]) -> tuple[float, float, float]:
-    """Of flights' squared errors: the share inside, one sigma of it by the flights' dispersion, mean over 2."""
+    """Pool flights' squared errors: the share inside, one sigma of it by the flights' dispersion, mean over 2."""
     simulated = [np.array(each) for each in per_flight if each]
     share, sigma = mean_and_sigma([float(np.mean(each < CHI2_2)) for each in simulated])
     return share, sigma, 0.5 * float(np.mean([np.mean(each) for each in simulated]))

@@ -39,7 +39,7 @@ LEAD_NS = 4_000_000_000  # from the process's beginning to the first picture
 
 @dataclass(frozen=True)
 class Plan:
-    """What to fly, in real time."""
+    """The flight to fly, in real time."""
 
     folder: str
     endpoint: str
@@ -61,7 +61,7 @@ class Plan:
         return Path(self.folder) / "moments.jsonl"
 
     def write(self) -> Path:
-        """As JSON, into its folder."""
+        """Write it as JSON into its folder; the file's path."""
         path = Path(self.folder) / "plan.json"
         path.write_text(json.dumps(asdict(self)))
         return path
@@ -117,7 +117,7 @@ class Moments:
             self._taken[event.index] = self._newest_event_ns
 
     def feature_set(self, output: FeatureSet) -> None:
-        """What the newest event brought about."""
+        """Write the moments of the picture whose set the newest event brought about."""
         taken_ns = self._taken.pop(output.frame, None) if output.is_ok else None
         if taken_ns is None or self._file is None:
             return
@@ -174,7 +174,7 @@ def fly(plan: Plan) -> int:
 
 
 def open_all(plan: Plan, simulated: Leg, clock: SessionClock, begin_ns: int, config: Config) -> Parts:
-    """What `pc-onboard run` opens, but for the camera, and with its moments noted."""
+    """Open what `pc-onboard run` opens, but for the camera, and with its moments noted."""
     camera = PlayedLeg(simulated, clock, clock.from_monotonic_ns(begin_ns))
     parts = open_parts(config, clock, lambda *_: camera)
     return replace(parts, sinks=[Moments(plan.moments, clock), *parts.sinks])

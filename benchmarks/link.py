@@ -59,7 +59,7 @@ class Wire:
             self.bytes["down" if source == PORT else "up"] += len(packet)
 
     def during(self, seconds: float) -> Counter[str]:
-        """What went while nothing was done."""
+        """Count the bytes up and down that pass in so many seconds while nothing is done."""
         self.bytes.clear()
         time.sleep(seconds)
         return Counter(self.bytes)

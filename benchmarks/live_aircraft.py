@@ -28,7 +28,7 @@ class Aircraft:
         self._thread.start()
 
     def close(self) -> None:
-        """It lands."""
+        """End the flight and its publisher."""
         self._ended.set()
         self._thread.join(5.0)
         self._publisher.close()

@@ -30,7 +30,7 @@ def describe() -> str:
 
 
 def load() -> str:
-    """How busy the machine was with other things, for the reader of a table."""
+    """The machine's load by other things, for the reader of a table."""
     return f"load of the last minute {os.getloadavg()[0]:.1f}"
 
 
@@ -75,5 +75,4 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def verdict(is_reached: bool) -> str:
-    """How a goal's line ends."""
     return "reached" if is_reached else "NOT reached"

@@ -123,7 +123,7 @@ def opened(text: str) -> zenoh.Session:
 
 
 def declared(session: zenoh.Session, topic: Topic) -> zenoh.Publisher:
-    """As the aircraft's publisher declares it."""
+    """Declare a publisher as the aircraft's does."""
     qos = topic.qos
     return session.declare_publisher(
         topic.key("uav"),
@@ -135,7 +135,7 @@ def declared(session: zenoh.Session, topic: Topic) -> zenoh.Publisher:
 
 
 def is_received(publisher: zenoh.Publisher) -> bool:
-    """Whether it has a subscriber."""
+    """Return whether the publisher has a subscriber."""
     return bool(getattr(publisher.matching_status, "matching", False))
 
 
@@ -152,7 +152,7 @@ def messages(way: int, number: int, size: int) -> list[bytes]:
 
 
 def is_whole(came: dict[int, float], needed: int) -> bool:
-    """Whether the pieces that came make the picture."""
+    """Return whether the pieces that came make the picture."""
     groups = max(groups_of(needed), 1)
     return all(
         sum(i not in came for i in range(group, needed, groups)) <= (needed + group in came) for group in range(groups)

@@ -44,7 +44,7 @@ _PAGE = os.sysconf("SC_PAGE_SIZE")
 
 @dataclass
 class Run:
-    """What a flight cost."""
+    """The cost of a flight."""
 
     call_ms: list[float] = field(default_factory=list)  # of each call of `handle` that gave sets, processor time
     lag_ms: list[float] = field(default_factory=list)  # of each call from its event's arrival to its sets' bytes

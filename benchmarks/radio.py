@@ -63,7 +63,7 @@ class Listener(MavlinkLink):
             self.received()
 
     def taken(self) -> NDArray[np.float64]:
-        """How far behind boot time each message since the last time came, s."""
+        """The delays behind boot time, s, of the messages since the last call."""
         taken, self.behind_s = self.behind_s, []
         return np.array(taken)
 

@@ -57,7 +57,7 @@ CLICKS = 4
 
 @dataclass
 class Result:
-    """Of several flights: errors (m), squared errors in units of the covariance by flight, clicks asked, readouts."""
+    """Results of flights: errors (m), squared errors over their covariances by flight, clicks asked, readouts."""
 
     error_m: list[float] = field(default_factory=list)
     chi2: list[list[float]] = field(default_factory=list)

@@ -103,7 +103,7 @@ class Ground:
         return out
 
     def meet(self, centre: Array, rays: Array) -> Array:
-        """Where rays (N, 3), ENU axes, from a centre (3,) or (N, 3) above the ground meet it first: (N, 3).
+        """Points (N, 3) where rays (N, 3), ENU axes, from a centre (3,) or (N, 3) above the ground meet it first.
 
         Downward rays, and as far as `FARTHEST` heights above ground: those that meet none before end there.
         """
@@ -120,7 +120,7 @@ class Ground:
         return np.asarray(centre + rays * depth[:, None], float)
 
     def _clearance_m(self, centre: Array, rays: Array, depth: Array) -> Array:
-        """How far above the ground rays (..., 3) are at some depths (...)."""
+        """Heights (...) above the ground of rays (..., 3) at some depths (...)."""
         points = centre + rays * depth[..., None]
         out: Array = points[..., 2] - self.height_m(points[..., :2])
         return out
@@ -194,7 +194,7 @@ class Valley(Ground):
 
 
 def _wave_numbers(length_m: Array, bearing_rad: Array) -> Array:
-    """Of waves of these lengths (N,) along these directions (N,): (N, 2), rad/m."""
+    """Wave numbers (N, 2), rad/m, of waves of these lengths (N,) along these directions (N,)."""
     out: Array = 2.0 * np.pi / length_m[:, None] * np.stack([np.cos(bearing_rad), np.sin(bearing_rad)], axis=1)
     return out
 
@@ -313,7 +313,7 @@ class SampledFlight:
         ]
 
     def _strayed_in_turns(self, time: Array) -> tuple[Array, Array]:
-        """What acceleration does to a filter whose positions are later than it assumes: u and w of (5.21).
+        """The effect of acceleration on a filter whose positions are later than it assumes: u and w of (5.21).
 
         Of position (N, 3), m, and of velocity (N, 3), m/s, beyond a delay of both.
         """
@@ -370,7 +370,7 @@ class SampledFlight:
 
 
 class Seen(Protocol):
-    """What a simulated tracker needs to know of how a flight is seen."""
+    """The facts of how a flight is seen that a simulated tracker needs."""
 
     @property
     def config(self) -> Config:
@@ -396,7 +396,7 @@ class FlightInSight(Protocol):
 
     @property
     def spec(self) -> Seen:
-        """How it is seen."""
+        """The facts of how it is seen."""
 
     def ground_points(self, frame: int, uv_px: Array) -> Array:
         """The ground (N, 3) that pixels (N, 2) of a picture show."""
@@ -419,7 +419,7 @@ class SampledTracker(Tracker):
 
     @property
     def has_keyframe(self) -> bool:
-        """Whether a picture has been made the keyframe."""
+        """True once a picture has been made the keyframe."""
         return self._key
 
     def track(self, image: NDArray[np.uint8], predicted: Array | None, sigma_px: float | None = None) -> Tracks:

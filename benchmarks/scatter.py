@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 
 def mean_and_sigma(values: Sequence[float] | NDArray[np.float64]) -> tuple[float, float]:
-    """Of one value for each flight (N,): the mean, NaN of none, and one sigma of it by how they scatter, NaN of one."""
+    """The mean of one value for each flight (N,), NaN of none, and one sigma of it by how they scatter, NaN of one."""
     known = np.asarray(values, dtype=float)
     if len(known) < 2:
         return (float(known[0]) if len(known) else float("nan")), float("nan")

@@ -45,7 +45,7 @@ TURNS = PathSpec("turns", leg_m=200.0)
 
 @dataclass(frozen=True)
 class Judged:
-    """Of one flight, or of several together: areas in cells."""
+    """The judgement of one flight, or of several together: areas in cells."""
 
     claimed: float = 0.0
     wrongly: float = 0.0
@@ -140,7 +140,7 @@ def judge(folder: Path, sets: Iterable[FeatureSet], cell_m: float | None = None,
 
 
 def visible(truth: Truth, frames: Iterable[int], places: Array) -> Mask:
-    """Which places (N, 3) any of these pictures shows."""
+    """Mask (N,) of the places (N, 3) that any of these pictures shows."""
     out = np.zeros(len(places), bool)
     for frame in frames:
         _, on_picture = truth.project(frame, places)

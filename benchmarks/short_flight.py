@@ -55,7 +55,7 @@ def leg_folder(seconds: float = 14.0, rate_hz: float = 30.0, cache: Path = CACHE
 
 
 def leg(seconds: float = 14.0, rate_hz: float = 30.0, cache: Path = CACHE) -> Leg:
-    """That leg in memory."""
+    """Load that leg into memory."""
     folder = leg_folder(seconds, rate_hz, cache)
     config = load_config(folder / "config.toml")
     camera = Camera.from_json(folder / "camera.json")
@@ -108,7 +108,7 @@ def _at(event: NavEvent, stamp_ns: int, is_back: bool) -> NavEvent:
 
 
 def first_sets(folder: Path, config: Config) -> list[tuple[Frame, FeatureSet]]:
-    """Of a simulated flight's folder each picture with its first set, in the order of the sets."""
+    """Replay a simulated flight's folder: each picture with its first set, in the order of the sets."""
     camera = Camera.from_json(folder / "camera.json")
     recorded = Flight.open(config, camera, folder / "frames", folder / "telemetry.tlog", folder / "stamps.csv")
     return list(with_first_sets((event for _, event in recorded.events()), Pipeline(config, recorded.camera)))

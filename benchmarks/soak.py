@@ -170,7 +170,7 @@ def _folder(plan: Plan) -> Path:
 
 
 def _begun(plan: Plan, process: subprocess.Popen[str], manager: ServiceManager, log: list[str]) -> int:
-    """When the first picture is due, once the daemon reports that it is ready."""
+    """Wait until the daemon reports that it is ready; the moment when the first picture is due."""
     deadline = time.monotonic() + START_S
     while not (plan.begin.exists() and manager.counts["READY=1"]):
         if process.poll() is not None or time.monotonic() > deadline:

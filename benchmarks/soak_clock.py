@@ -23,9 +23,8 @@ SLACK_NS = 300_000_000  # how far it runs past the next picture's moment before 
 
 @dataclass(frozen=True)
 class Pace:
-    """At `monotonic_ns` the flight's clock read `flight_ns` (Unix). Since then it runs `speed` times as fast.
-
-    It stands still at `limit_ns`.
+    """The pace of a flight's clock, which read `flight_ns` (Unix) at `monotonic_ns`. Since then it runs `speed` times
+    as fast. It stands still at `limit_ns`.
     """
 
     monotonic_ns: int
@@ -86,7 +85,7 @@ class StatedClock:
         self._pace = Pace(0, 0, 1.0, 0)
 
     def pace(self) -> Pace:
-        """As it is now."""
+        """The newest pace of the clock."""
         record = os.pread(self._file, _RECORD.size, 0)
         if len(record) == _RECORD.size:
             monotonic_ns, flight_ns, speed, limit_ns, check = _RECORD.unpack(record)
@@ -99,7 +98,7 @@ class StatedClock:
         return self.pace().now_ns()
 
     def wall_s(self, ns: int) -> float:
-        """How long so much of the flight takes at this speed."""
+        """Real seconds that so much of the flight takes at this speed."""
         return ns / 1e9 / self._pace.speed
 
     def close(self) -> None:
@@ -122,5 +121,5 @@ class FlightClock(SessionClock):
         return self.governor.pace.now_ns()
 
     def wall_s(self, ns: int) -> float:
-        """How long so much of the flight takes at this speed."""
+        """Real seconds that so much of the flight takes at this speed."""
         return ns / 1e9 / self.governor.pace.speed

@@ -48,7 +48,7 @@ MINUTE_NS = 60_000_000_000
 
 @dataclass(frozen=True)
 class Plan:
-    """What to fly. Faults: (seconds after the first picture, for how many)."""
+    """The flight to fly. Faults: (seconds after the first picture, for how many)."""
 
     folder: str  # for clock, figures, state and recordings
     endpoint: str
@@ -63,13 +63,12 @@ class Plan:
 
     @classmethod
     def read(cls, path: Path) -> Plan:
-        """As `write` wrote it."""
+        """Read the file that `write` wrote."""
         held = json.loads(path.read_text())
         held["unplugged"] = tuple((begin, length) for begin, length in held["unplugged"])
         return cls(**held)
 
     def write(self, path: Path) -> None:
-        """As JSON."""
         path.write_text(json.dumps(asdict(self)))
 
     @property
@@ -196,7 +195,7 @@ class Watch:
             counted.delays_s.append((self._clock.now_ns() - output.capture_unix_ns) / 1e9)
 
     def report(self, report: Report) -> None:
-        """What the daemon reports about itself."""
+        """Note how many pictures the daemon reports as dropped."""
         self._counted.dropped = report.status.dropped
 
     def _write(self) -> None:
@@ -225,7 +224,7 @@ class Until:
         self._orders, self._clock, self._end_ns = orders, clock, end_ns
 
     def next(self, timeout_s: float) -> Order | None:
-        """As many seconds of flight."""
+        """Wait at most so many seconds of flight for an order; STOP once the flight is over."""
         if self._clock.now_ns() >= self._end_ns:
             return Order.STOP
         return self._orders.next(self._clock.wall_s(round(timeout_s * 1e9)))
@@ -267,7 +266,7 @@ def fly(plan: Plan) -> int:
 
 
 def open_all(plan: Plan, simulated: Leg, clock: FlightClock, begin_ns: int, config: Config) -> Parts:
-    """What `pc-onboard run` opens, but for clock and camera, and watched."""
+    """Open what `pc-onboard run` opens, but for clock and camera, and watched."""
     counted = Counted()
     camera = Camera(plan, simulated, clock, begin_ns, counted)
     parts = open_parts(config, clock, lambda *_: camera)

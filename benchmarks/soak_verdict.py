@@ -1,4 +1,4 @@
-"""What a soak must show: figures minute by minute, and the limits they are compared with."""
+"""The verdict on a soak: figures minute by minute, and the limits they are compared with."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _BAD_LINE = re.compile(r"Traceback|panicked|Fatal Python error|^<[0-3]>| ERROR |
 
 @dataclass(frozen=True)
 class Faults:
-    """What happens on the way: (seconds after the first picture, for how many)."""
+    """The faults on the way: (seconds after the first picture, for how many)."""
 
     unplugged: Spans = ()
     cut: Spans = ()
@@ -36,14 +36,14 @@ class Faults:
         return cls(spans(270.0, 20.0), spans(90.0, 5.0), spans(450.0, 15.0))
 
     def in_minute(self, minute: int) -> str:
-        """What happened in a minute, counted from 1."""
+        """The kinds of faults in a minute, counted from 1."""
         kinds = {"camera": self.unplugged, "telemetry": self.cut, "GPS": self.no_gps}
         return ", ".join(n for n, spans in kinds.items() if any(int(b // 60) + 1 == minute for b, _ in spans))
 
 
 @dataclass(frozen=True)
 class Minute:
-    """How things stood at the end of a minute of flight; the queue and the delays are that minute's."""
+    """The state at the end of a minute of flight; the queue and the delays are that minute's."""
 
     minute: int
     rss_mb: float  # without the leg's own pictures
@@ -84,7 +84,7 @@ class Soak:
 
     @property
     def bad_lines(self) -> list[str]:
-        """Of the daemon's log: exceptions and errors."""
+        """The lines of the daemon's log with exceptions and errors."""
         return [line for line in self.log if _BAD_LINE.search(line)]
 
     @property
@@ -96,7 +96,7 @@ class Soak:
         return statistics.median(warm[-SETTLED:]) / statistics.median(warm[:SETTLED]) - 1.0
 
     def grown(self, count: Callable[[Minute], int]) -> int | None:
-        """By how much the least of the last minutes exceeds the most of the first after warm-up; None as `growth`."""
+        """The excess of the least of the last minutes over the most of the first after warm-up; None as `growth`."""
         warm = [count(m) for m in self.minutes if m.minute >= WARM_UP_MINUTES]
         return min(warm[-SETTLED:]) - max(warm[:SETTLED]) if len(warm) >= 2 * SETTLED else None
 
@@ -145,7 +145,7 @@ class Soak:
 
     @property
     def is_good(self) -> bool:
-        """Whether every goal was reached."""
+        """True if every goal was reached."""
         return all(is_good for _, is_good in self.verdicts())
 
     def report(self) -> str:

@@ -1,4 +1,4 @@
-"""What is around the daemon of a soak: an autopilot over UDP, a ground that listens and asks, a service manager.
+"""The world around the daemon of a soak: an autopilot over UDP, a ground that listens and asks, a service manager.
 
 All use the flight's clock as the daemon's process passes it (benchmarks.soak_clock).
 """
@@ -176,7 +176,7 @@ class Ground:
         self.states[decode_status(sample.payload.to_bytes()).state] += 1
 
     def ask_if_due(self) -> None:
-        """In turn the newest set and one of two seconds ago."""
+        """Ask, once it is due, in turn for the newest set and for one of two seconds ago."""
         if time.monotonic() < self._next_s or not self.received:
             return
         frame = None if self.asked % 2 == 0 else max(self._frame - 60, 0)

@@ -66,7 +66,7 @@ MOUNT_ANGLES = ("roll_deg", "pitch_deg", "yaw_deg")
 
 @dataclass(frozen=True, eq=False)
 class Recoded:
-    """What came of a flight's pictures, by number; kbit/s sent, as of OF_HZ; the decoder's time for a picture."""
+    """The decoded pictures of a flight, by number; kbit/s sent, as of OF_HZ; the decoder's time for a picture."""
 
     images: dict[int, NDArray[np.uint8]]
     sent_kbit: float
@@ -79,7 +79,7 @@ class Received(Pipeline):
     images: dict[int, NDArray[np.uint8]] | None = None
 
     def handle(self, event: Event) -> list[FeatureSet]:
-        """As `Pipeline.handle`."""
+        """Pass the event on with the picture that was decoded, if there are any."""
         if isinstance(event, Frame) and self.images is not None:
             event = replace(event, image=self.images.get(event.index))
         return super().handle(event)
@@ -156,7 +156,7 @@ def outcome(session: Path, rate_hz: float, images: dict[int, NDArray[np.uint8]] 
 
 
 def between_clicks(session: Path, done: Outcome) -> tuple[list[float], list[float]]:
-    """Of the horizontal vector between successive clicks of a picture: error (m), and its square over its own."""
+    """Errors (m) of the horizontal vectors between successive clicks of a picture; squares over covariances."""
     errors, chi2 = [], []
     by_frame: dict[int, list[dict[str, str]]] = {}
     with (session / "truth_clicks.csv").open(newline="") as file:
@@ -179,7 +179,7 @@ def between_clicks(session: Path, done: Outcome) -> tuple[list[float], list[floa
 
 
 def share_inside(done: Outcome) -> float:
-    """Of a flight's answered clicks, inside their own 90 % ellipses; nan without any."""
+    """The share of a flight's answered clicks inside their own 90 % ellipses; nan without any."""
     return float(np.mean(done.chi2 < CHI2_90)) if len(done.chi2) else float("nan")
 
 

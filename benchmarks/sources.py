@@ -70,7 +70,7 @@ DEVICES = (
 
 @dataclass(frozen=True)
 class Received:
-    """What came of a stream: events in order of arrival, and when each numbered picture was taken (session clock)."""
+    """The content of a stream: events in order of arrival, and when each numbered picture was taken (session clock)."""
 
     events: list[tuple[int, Event]]
     captured_ns: dict[int, int]
@@ -78,7 +78,7 @@ class Received:
 
 @dataclass(frozen=True)
 class Streamed:
-    """What the pipeline made of it."""
+    """The pipeline's result from a stream."""
 
     outcome: Outcome
     scatter_ms: float

@@ -76,7 +76,7 @@ class Survey:
 
 @dataclass
 class Scores:
-    """Of all flights of a scene: by person, and by picture that shows one."""
+    """Scores of all flights of a scene: by person, and by picture that shows one."""
 
     found: list[bool] = field(default_factory=list)
     in_picture: list[bool] = field(default_factory=list)
@@ -215,7 +215,7 @@ def in_ellipses(spot: Spot, off: Array) -> float:
 
 
 def is_same(spot: Spot, at: Array, place: Array) -> bool:
-    """Whether a spot may be what is at a place: within twice its ellipse, or very near."""
+    """Return whether a spot may be what is at a place: within twice its ellipse, or very near."""
     return bool(np.hypot(*(at - place)) < SAME_M) or in_ellipses(spot, at - place) < 4.0
 
 

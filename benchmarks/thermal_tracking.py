@@ -57,7 +57,7 @@ def spec_of(name: str, seconds: float, seed: int) -> SessionSpec:
 
 
 def line_of(outcome: Outcome) -> str:
-    """What came of a flight."""
+    """The outcome of a flight in a line."""
     live = len(outcome.sets) - outcome.statuses[Status.BAD_PICTURE]
     said = f"{outcome.statuses[Status.OK]:4d} of {live}"
     if not len(outcome.errors_m):

@@ -62,7 +62,7 @@ class Thing:
 
 @dataclass
 class Scores:
-    """Of all flights. Tuples are (kind of thing, value)."""
+    """Scores of all flights. Tuples are (kind of thing, value)."""
 
     speed: list[tuple[str, float]] = field(default_factory=list)
     course: list[tuple[str, float]] = field(default_factory=list)
@@ -125,7 +125,7 @@ def measure(spec: SessionSpec, things: Sequence[Thing], config_of: Callable[[Con
 
 
 def join_ms(book: TrackBook) -> float:
-    """What finding the ground's last step takes, which all tracks share: found once more, by itself."""
+    """The time, ms, to find the ground's last step, which all tracks share: found once more, by itself."""
     kept = list(book._pictures)
     if len(kept) < 2:
         return 0.0
@@ -139,7 +139,7 @@ def join_ms(book: TrackBook) -> float:
 
 
 def click(book: TrackBook, things: Sequence[Thing], truth: Truth) -> dict[int, Thing]:
-    """On all that can be seen in picture CLICKED, a pixel next to the middle; those that are begun, by number."""
+    """Click in picture CLICKED on all that can be seen, a pixel next to the middle; those that are begun, by number."""
     rng = np.random.default_rng(len(things))
     out: dict[int, Thing] = {}
     for thing in things:
@@ -151,7 +151,7 @@ def click(book: TrackBook, things: Sequence[Thing], truth: Truth) -> dict[int, T
 
 
 def ground_of(thing: Thing, truth: Truth, frame: int) -> Array:
-    """Where a thing is (3,), ENU m."""
+    """The place of a thing (3,), ENU m."""
     east, north = thing.mover.place_m(frame / RATE_HZ)
     return np.array([east, north, float(truth.terrain.height_m(east, north))])
 
@@ -208,14 +208,14 @@ def score_places(
 
 
 def is_inside(ellipse: Ellipse, off_m: Array) -> bool:
-    """Whether an error (2,), m east and north, lies inside."""
+    """Return whether an error (2,), m east and north, lies inside."""
     a = np.radians(ellipse.azimuth_deg)
     along, across = off_m @ [np.sin(a), np.cos(a)], off_m @ [np.cos(a), -np.sin(a)]
     return bool((along / ellipse.semi_major_m) ** 2 + (across / ellipse.semi_minor_m) ** 2 < 1.0)
 
 
 def score_hiding(thing: Thing, said: dict[int, TrackReport], truth: Truth, scores: Scores) -> None:
-    """How soon it is said that it is not seen, and whether it is found again."""
+    """Score how soon it is reported as not seen, and whether it is found again."""
     assert thing.hidden_s is not None
     first, again = (round(t * RATE_HZ) for t in thing.hidden_s)
     if first not in said or said[first - 2].state is not TrackState.FOLLOWED:
@@ -274,7 +274,7 @@ def show(scores: Scores) -> None:
 
 
 def trees(things: Sequence[Thing]) -> tuple[MoverSpec, ...]:
-    """What hides: dark squares over the ways of those that are to be hidden."""
+    """The covers: dark squares over the ways of the things that are to be hidden."""
     out = []
     for thing in things:
         if thing.hidden_s is not None:
@@ -330,7 +330,7 @@ def sampled(flight: DescribedSpec | RecordedSpec, seed: int) -> SessionSpec:
 
 
 def centre_of(spec: SessionSpec, times_s: Sequence[float] | Array) -> Array:
-    """Where the camera looks (2,), the mean over some moments."""
+    """The ground at which the camera looks (2,), the mean over some moments."""
     made, R = make_flight(spec), mount_rotation(*spec.mount_deg)
     poses = [made.trajectory.camera_pose(made.start_s + float(t), R) for t in times_s]
     looks = [p.centre_m[:2] - p.R_enu_cam[:2, 2] * p.centre_m[2] / p.R_enu_cam[2, 2] for p in poses]

@@ -97,7 +97,7 @@ def live(chromium: Any, folder: Path, clicks: int) -> str:
 
 
 def api_and_import(chromium: Any, folder: Path, clicks: int) -> str:
-    """What programs wait for, and what ten thousand pins cost."""
+    """The times that programs wait for, and the cost of ten thousand pins."""
     record_rendered(folder / "api.mcap")
     ten_thousand_pins(folder / "wide.sqlite", step_deg=1e-3)
     with PinStore(folder / "wide.sqlite") as store:
@@ -146,7 +146,7 @@ def api_and_import(chromium: Any, folder: Path, clicks: int) -> str:
 
 
 def hour(chromium: Any, folder: Path, pictures: int) -> str:
-    """What an open page has grown by."""
+    """The growth of an open page."""
     found = []
     with Flight(folder / "hour.sqlite") as flight:
         page = opened(chromium, flight.url)

@@ -67,7 +67,7 @@ KEPT = {
         *("generator/__init__.py", "generator/mavcrc.py", "generator/mavparse.py"),
     ),
 }
-"""What stays all the same: the dialect that is spoken, and what `mavutil` loads by itself."""
+"""The modules that stay all the same: the dialect that is spoken, and what `mavutil` loads by itself."""
 NO_VIDEO = "WITHOUT_FFMPEG"
 """The file beside cv2 that says so; `onboard/camera/picture_files.py` looks for it before it opens a video."""
 FFMPEG = ("libavcodec", "libavformat", "libavutil", "libswscale")
