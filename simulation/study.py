@@ -13,13 +13,13 @@ import argparse
 import csv
 import sys
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from simulation import study_seed
-from simulation.study_plot import plot
+from simulation.study_plot import Row, plot
 from simulation.study_window import Setting, begin, draw, estimate
 from simulation.study_world import AXES, two_views
 
@@ -34,16 +34,6 @@ WINDOW_PIXEL_PX = 0.3
 WINDOW_GPS_M = 1.0
 TINY_PX, TINY_M = 0.05, 0.01  # what stands for no noise: far less and the weights, not the flight, are examined
 STAGES: dict[str, int | None] = {"initial": 0, "25": 25, "50": 50, "converged": None}
-
-
-@dataclass(frozen=True)
-class Row:
-    """One point of a curve: panel (axis or input), abscissa, curve (iterations or sensors), mean error in metres."""
-
-    panel: str
-    value: float
-    curve: str
-    mean_error_m: float
 
 
 def fig6(seeds: int = SEEDS) -> list[Row]:

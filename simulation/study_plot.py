@@ -1,12 +1,9 @@
-"""Curves of the error study as small PNG pictures."""
+"""The points of the error study's curves, and the curves as small PNG pictures."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from simulation.study import Row
 
 TITLES = {
     "fig6": "Seed, figure 6: errors in the input (two views, 40 m)",
@@ -24,6 +21,16 @@ LABELS = {
     "roll": "roll (deg)",
 }
 FLOOR_M = 1e-3  # a logarithmic axis needs one; a millimetre is nothing here
+
+
+@dataclass(frozen=True)
+class Row:
+    """One point of a curve: panel (axis or input), abscissa, curve (iterations or sensors), mean error in metres."""
+
+    panel: str
+    value: float
+    curve: str
+    mean_error_m: float
 
 
 def plot(path: Path, name: str, rows: list[Row]) -> None:

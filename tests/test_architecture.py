@@ -9,6 +9,7 @@ import sys
 import tomllib
 from collections.abc import Iterable, Iterator
 from functools import cache
+from graphlib import TopologicalSorter
 from pathlib import Path
 from typing import NamedTuple
 
@@ -195,8 +196,9 @@ def test_only_packages_that_meet_the_world_know_sockets_threads_and_command_line
 def test_the_base_install_needs_numpy_and_zenoh_alone() -> None:
     """`contract` NumPy; `ground` zenoh besides; what an extra brings is imported only where it is used.
 
-    `ground.web` is that place for the extra `web`: its `command` alone is loaded without it.
+    `ground.web` is that place for the extra `web`: its `command` and `startup` alone are loaded without it.
     """
+    without_extra = {"ground.web.command", "ground.web.startup"}
     allowed = {"contract": {"numpy"}, "ground": {"numpy", "zenoh"}}
     page = {"fastapi", "pydantic", "starlette", "uvicorn", "segno", "PIL"}
     own = {name.split(".")[0] for name in ARROWS}
@@ -206,9 +208,25 @@ def test_the_base_install_needs_numpy_and_zenoh_alone() -> None:
         for i in imports(m)
         if not i.is_lazy
         and i.top not in own | set(sys.stdlib_module_names) | allowed[m.split(".")[0]]
-        and not (package_of(m) == "ground.web" and m != "ground.web.command" and i.top in page)
+        and not (package_of(m) == "ground.web" and m not in without_extra and i.top in page)
     ]
     assert not found, "\n".join(found)
+
+
+def test_no_modules_import_each_other_in_a_circle() -> None:
+    """Imports within functions and for types count too: a circle shows that something lies in the wrong module."""
+    known = set(EVERY)
+    needs = {
+        m: {
+            name
+            for i in imports(m)
+            for name in [n for n in (f"{i.module}.{n}" for n in i.names) if n in known] or [i.module]
+            if name in known - {m}
+        }
+        for m in EVERY
+    }
+    assert sum(map(len, needs.values())) > 1000
+    list(TopologicalSorter(needs).static_order())  # CycleError names one
 
 
 def test_nothing_heavy_is_loaded_by_importing_the_ground() -> None:

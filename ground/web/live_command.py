@@ -26,6 +26,7 @@ from contract.tied_process import tied
 from ground.pins.file import default_path
 from ground.web import command as web
 from ground.web import opened_page
+from ground.web.startup import check_installed
 
 EXAMPLES = """examples:
   pc-ground live --camera rtsp://192.168.144.25:8554/main.264 --telemetry udpin:0.0.0.0:14550 --camera-file camera.json
@@ -68,7 +69,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Both programs until a signal ends them, or the aircraft's ends. Raises PointclickError."""
-    web.check_installed()
+    check_installed()
     if not args.camera_file.is_file():
         raise InputError(f"{args.camera_file}: no such file; pc-onboard calibrate makes one (docs/camera.md)")
     folder = args.state or default_path().parent / "live"

@@ -18,6 +18,7 @@ from contract.errors import InputError
 from ground.pins.file import default_path
 from ground.web import command as web
 from ground.web import opened_page
+from ground.web.startup import check_installed
 
 EXAMPLES = """examples:
   pc-ground open DJI_0042.MP4                        with DJI_0042.SRT next to it, or the only log in the folder
@@ -65,7 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Replay what must be replayed, then serve the page until a signal ends it. Raises PointclickError."""
-    web.check_installed()
+    check_installed()
     if not args.input.exists():
         raise InputError(f"{args.input}: no such file or folder")
     if is_session(args.input):

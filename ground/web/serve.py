@@ -18,12 +18,12 @@ from ground.pins.file import chosen_path, chosen_store
 from ground.pins.store import PinStore
 from ground.web.app import create_app
 from ground.web.browser import open_in_browser
-from ground.web.command import STATIC, Tokens, WebError, link_host
 from ground.web.context import ServerContext
 from ground.web.gate import BACKLOG, gate_for_this_process, gated, protocol_of, quiet_logs
 from ground.web.guard import Rules, is_loopback
 from ground.web.recorded import RecordedSource
 from ground.web.source import Source
+from ground.web.startup import STATIC, Tokens, WebError, link_host
 from ground.web.tiles import Tiles, open_tiles
 
 if TYPE_CHECKING:

@@ -121,7 +121,8 @@ import importlib, pkgutil
 import contract, ground, onboard
 names = [m.name for p in (contract, ground, onboard) for m in pkgutil.walk_packages(p.__path__, p.__name__ + ".")]
 for name in names:
-    if not name.endswith("__main__") and (not name.startswith("ground.web.") or name == "ground.web.command"):
+    needs_web = name.startswith("ground.web.") and name not in ("ground.web.command", "ground.web.startup")
+    if not name.endswith("__main__") and not needs_web:
         importlib.import_module(name)
 import cryptography.x509, mavsdk, mavsdk.plugins.mavlink_direct, mcap.reader, pyulog, zenoh
 from PIL import features

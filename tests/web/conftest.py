@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from ground.web.command import STATIC
+from ground.web.startup import STATIC
 from tests.left_out import NO_PROGRAM
 from tests.onboard.link.ports import free_port
 from tests.web.browsing import Operator

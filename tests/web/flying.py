@@ -12,9 +12,9 @@ import uvicorn
 
 from ground.pins.store import PinStore
 from ground.web.app import create_app
-from ground.web.command import STATIC
 from ground.web.context import ServerContext
 from ground.web.guard import Rules
+from ground.web.startup import STATIC
 from ground.web.tiles import Tiles
 from tests.waiting import PATIENCE_S
 from tests.web.rendered import FlyingSource

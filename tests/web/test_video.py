@@ -13,7 +13,7 @@ from contract.errors import InputError
 from contract.secrets import without_secrets
 from ground.__main__ import main
 from ground.pins.store import PinStore
-from ground.web import command, video_reader
+from ground.web import command, startup, video_reader
 from ground.web.api_vehicles import vehicles_router
 from ground.web.context import ServerContext
 from ground.web.recorded import RecordedSource
@@ -329,7 +329,7 @@ def test_without_opencv_the_extra_is_named(
     (tmp_path / "index.html").touch()
     there = command.importlib.util.find_spec
     monkeypatch.setattr(command.importlib.util, "find_spec", lambda name: None if name == "cv2" else there(name))
-    monkeypatch.setattr(command, "STATIC", tmp_path)
+    monkeypatch.setattr(startup, "STATIC", tmp_path)
     assert "with its extra [video]" in one_line(capsys, "--video", "rtsp://127.0.0.1/")
 
 
@@ -351,7 +351,7 @@ def test_a_video_that_cannot_be_used_is_one_line(
     tmp_path: Path,
 ) -> None:
     (tmp_path / "index.html").touch()
-    monkeypatch.setattr(command, "STATIC", tmp_path)
+    monkeypatch.setattr(startup, "STATIC", tmp_path)
     record_rendered(tmp_path / "session.mcap", pictures=2)
     filled = [argument.format(folder=tmp_path) for argument in arguments]
     assert output in one_line(capfd, "--port", "0", "--from", str(tmp_path / "session.mcap"), *filled)
