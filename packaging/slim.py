@@ -1,4 +1,4 @@
-"""What an aircraft has no use for is left out of an installed site-packages folder.
+"""Leave out of an installed site-packages folder what an aircraft has no use for.
 
     python packaging/slim.py SITE amd64|arm64 [--without OTHER_SITE]
 
