@@ -22,6 +22,7 @@ help:
 	@echo "make test-all  every test there is"
 	@echo "make test-bench  the tests with a real V4L2 camera and a real systemd (docs/test-bench.md; root; 14 minutes to build once)"
 	@echo "make test-arm64  both Debian packages built and run, arm64 under emulation (qemu-user-static; 3 minutes)"
+	@echo "make test-debian13  packages, demo and tests in a Debian 13 (root, debootstrap; the tests take as long as here)"
 	@echo "make transcripts  plays tests/transcripts again: what the commands print now, for the difference to be read"
 	@echo "make lint    ruff: rules and format"
 	@echo "make types   mypy --strict"
@@ -147,6 +148,7 @@ test: lint
 	@echo "LEFT OUT: the tests marked long, many drawn flights and soaks. To run them: make test-long ALL=1"
 	@echo "LEFT OUT: tests/bench, with a real V4L2 camera and a real systemd. To run it: make test-bench"
 	@echo "LEFT OUT: tests/arm64, the Debian packages and the other architecture. To run it: make test-arm64"
+	@echo "LEFT OUT: tests/debian13, the packages for Debian 13, and all of this there. To run it: make test-debian13"
 	@echo "What a submission runs of these: make test-submission. All of them: make test-all"
 
 # Kernel and images are built once and kept in $POINTCLICK_BENCH_CACHE (~/.cache/pointclick-bench).
@@ -158,6 +160,14 @@ test-bench: $(INSTALLED)
 test-arm64: $(INSTALLED)
 	@$(BIN)/python -m tests.arm64
 	@POINTCLICK_ARM64=1 $(BIN)/python -m pytest tests/arm64 -n 2 --dist load --durations=0 --durations-min=5 $(ARM64_ARGS)
+
+# A Debian 13 in a folder (Raspberry Pi OS 13 has its Python): its packages, the demo and the tests of `make test`.
+.PHONY: test-debian13
+test-debian13: $(INSTALLED)
+	@$(BIN)/python -m tests.debian13
+	@POINTCLICK_DEBIAN13=1 $(BIN)/python -m pytest tests/debian13 --durations=0 --durations-min=5 $(DEBIAN13_ARGS)
+	@$(BIN)/python -m tests.debian13 make demo
+	@$(BIN)/python -m tests.debian13 make test
 
 .PHONY: transcripts
 transcripts: $(INSTALLED)
@@ -248,6 +258,7 @@ test-all:
 	@$(MAKE) --no-print-directory test-long ALL=1
 	@$(MAKE) --no-print-directory test-bench
 	@$(MAKE) --no-print-directory test-arm64
+	@$(MAKE) --no-print-directory test-debian13
 
 fuzz: $(INSTALLED)
 	@$(BIN)/python -m tests.fuzz.payloads 1000000

@@ -1,6 +1,7 @@
 #!/bin/sh
-# Debian packages of the aircraft's side, for Debian 12: pointclick-onboard_VERSION_ARCH.deb, and beside it
-# pointclick-onboard-terrain_VERSION_ARCH.deb, which adds what reads elevation models (rasterio).
+# Debian packages of the aircraft's side, for Debian 12 or 13: pointclick-onboard_VERSION_ARCH.deb, and beside it
+# pointclick-onboard-terrain_VERSION_ARCH.deb, which adds what reads elevation models (rasterio). VERSION ends in +deb13
+# for Debian 13: which of the two it is follows from $PYTHON, which is theirs (3.11 or 3.13).
 #
 #   ARCH=amd64|arm64 packaging/build-deb.sh OUT_DIR [WHEELS_DIR]
 #
@@ -9,7 +10,7 @@
 # and without what an aircraft has no use for (slim.py); Debian gives python3 alone. Wheels are fetched into WHEELS_DIR
 # (OUT_DIR/wheels/ARCH) once, by the lock's hashes; with them there, nothing is fetched any more. Beside the packages lies
 # a list of their parts, pointclick-onboard_VERSION_ARCH.cdx.json (CycloneDX).
-# $PYTHON must be of Debian's minor version (3.11), of whatever architecture: bytecode is made with it, and slim.py runs in
+# $PYTHON must be of that Debian's minor version, of whatever architecture: bytecode is made with it, and slim.py runs in
 # it with LIEF, which is fetched for this machine. A `strip` for the target is binutils-multiarch's.
 set -eu
 
@@ -19,13 +20,17 @@ out=$(cd "$1" && pwd)
 arch=${ARCH:-$(dpkg --print-architecture)}
 wheels=${2:-$out/wheels/$arch}
 python=${PYTHON:-python3}
-minor=3.11
 
-[ "$($python -c 'import sys; print("%d.%d" % sys.version_info[:2])')" = "$minor" ] \
-	|| { echo "build-deb: $python is not Python $minor, which Debian 12 runs; name one: PYTHON=python$minor" >&2; exit 1; }
+# Of each Debian its Python, its glibc, and what its version is called by.
+minor=$($python -c 'import sys; print("%d.%d" % sys.version_info[:2])')
+case $minor in
+	3.11) next=3.12 newest_glibc=36 suffix= ;;
+	3.13) next=3.14 newest_glibc=41 suffix=+deb13 ;;
+	*) echo "build-deb: $python is Python $minor; Debian 12 runs 3.11, Debian 13 runs 3.13; name one: PYTHON=python3.13" >&2; exit 1 ;;
+esac
 command -v dpkg-deb >/dev/null || { echo "build-deb: no dpkg-deb; sudo apt-get install dpkg" >&2; exit 1; }
 
-version=$(sed -n 's/^version = "\(.*\)"/\1/p' "$checkout/pyproject.toml")
+version=$(sed -n 's/^version = "\(.*\)"/\1/p' "$checkout/pyproject.toml")$suffix
 case $arch in
 	amd64) machine=x86_64 ;;
 	arm64) machine=aarch64 ;;
@@ -34,9 +39,9 @@ esac
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 pip() { $python -m pip --disable-pip-version-check --quiet "$@"; }
-# Wheels for the target, whatever runs here: Debian 12 has glibc 2.36.
-target="--implementation cp --python-version $minor --abi cp311 --abi abi3 --abi none --only-binary :all:"
-for glibc in $(seq 36 -1 5); do target="$target --platform manylinux_2_${glibc}_$machine"; done
+# Wheels for the target, whatever runs here.
+target="--implementation cp --python-version $minor --abi cp${minor%.*}${minor#*.} --abi abi3 --abi none --only-binary :all:"
+for glibc in $(seq $newest_glibc -1 5); do target="$target --platform manylinux_2_${glibc}_$machine"; done
 target="$target --platform manylinux2014_$machine --platform linux_$machine"
 [ $machine = aarch64 ] || target="$target --platform manylinux2010_$machine --platform manylinux1_$machine"
 
@@ -57,7 +62,7 @@ project = tomllib.load(open(sys.argv[1], "rb"))["project"]
 extras = project["optional-dependencies"]
 print(*project["dependencies"], *extras["onboard"], *extras["terrain"], sep="\n")
 PYTHON
-cat "$work/declared" "$checkout/requirements.lock" > "$work/wanted"
+{ echo "# Python $minor"; cat "$work/declared" "$checkout/requirements.lock"; } > "$work/wanted"
 if ! cmp -s "$work/wanted" "$wheels/.complete"; then
 	echo "build-deb: fetching wheels into $wheels"
 	mkdir -p "$wheels"
@@ -138,7 +143,7 @@ Version: $version
 Architecture: $arch
 Maintainer: pointclick developers <pointclick@localhost>
 Installed-Size: $(du -sk --apparent-size "$root" | cut -f1)
-Depends: python3 (>= $minor), python3 (<< 3.12), systemd
+Depends: python3 (>= $minor), python3 (<< $next), systemd
 Recommends: $gstreamer
 Suggests: gstreamer1.0-libcamera, libcamera-ipa, pointclick-onboard-terrain
 Section: science

@@ -20,7 +20,7 @@ QEMU = "qemu-aarch64-static"
 QEMU_PACKAGE = "qemu-user-static"
 STRIP_PACKAGE = "binutils-multiarch"
 SUITE = "bookworm"
-WANTED = ("python3.11", "libstdc++6", "libgcc-s1")
+WANTED = {"bookworm": ("python3.11", "libstdc++6", "libgcc-s1"), "trixie": ("python3.13", "libstdc++6", "libgcc-s1")}
 KEYS = Path("/usr/share/keyrings/debian-archive-keyring.gpg")
 CHECKOUT = Path(__file__).resolve().parents[2]
 TESTING = ("hypothesis", "iniconfig", "packaging", "pluggy", "Pygments", "pytest", "sortedcontainers")
@@ -53,15 +53,15 @@ def _strips_both() -> bool:
     return {"elf64-x86-64", "elf64-littleaarch64"} <= set(printed)
 
 
-def sysroot() -> Path:
-    """A folder with Debian's Python 3.11 for arm64 and the libraries that it loads."""
+def sysroot(suite: str = SUITE) -> Path:
+    """A folder with a Debian's own Python for arm64 and the libraries that it loads."""
 
     def build(work: Path) -> None:
         apt = work / "apt"
         for folder in ("state/lists/partial", "cache/archives/partial", "etc/preferences.d"):
             (apt / folder).mkdir(parents=True)
         (apt / "status").touch()
-        (apt / "etc" / "sources.list").write_text(f"deb [signed-by={KEYS}] {mirror()} {SUITE} main\n")
+        (apt / "etc" / "sources.list").write_text(f"deb [signed-by={KEYS}] {mirror()} {suite} main\n")
         (apt / "apt.conf").write_text(
             'APT::Architecture "arm64"; APT::Architectures { "arm64"; }; APT::Install-Recommends "false";\n'
             f'Dir::State "{apt}/state"; Dir::State::status "{apt}/status"; Dir::Cache "{apt}/cache";\n'
@@ -70,12 +70,14 @@ def sysroot() -> Path:
         )
         env = {**os.environ, "APT_CONFIG": str(apt / "apt.conf")}
         run(["apt-get", "update", "-qq"], env=env)
-        run(["apt-get", "install", "--download-only", "-y", "-qq", *WANTED], env=env)
+        run(["apt-get", "install", "--download-only", "-y", "-qq", *WANTED[suite]], env=env)
         for package in sorted((apt / "cache" / "archives").glob("*.deb")):
             run(["dpkg-deb", "-x", package, work / "root"])
+        if not (work / "root" / "lib").exists():  # from Debian 13 on packages have it below usr alone
+            (work / "root" / "lib").symlink_to("usr/lib")
         shutil.rmtree(apt)
 
-    key = cache.key_of(SUITE, *WANTED, Path(__file__).read_bytes())
+    key = cache.key_of(suite, *WANTED[suite], Path(__file__).read_bytes())
     return cache.artefact("arm64-root", key, build) / "root"
 
 
