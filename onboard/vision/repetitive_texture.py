@@ -50,5 +50,7 @@ def _twin_px(around: Picture) -> float | None:
     rows, columns = np.nonzero(other)
     nearest = np.hypot(rows - REACH_PX, columns - REACH_PX).argmin()
     twin = np.where(name == name[rows[nearest], columns[nearest]], likeness, -1.0)  # its peak, not its border
-    row, column = np.unravel_index(int(twin.argmax()), twin.shape)
-    return float(np.hypot(row - REACH_PX, column - REACH_PX))
+    row, column = (int(i) for i in np.unravel_index(int(twin.argmax()), twin.shape))
+    # What repeats itself does so on the other side as well; a blurred picture has a twin on one side by chance.
+    opposite = likeness[max(2 * REACH_PX - row - 2, 0) :, max(2 * REACH_PX - column - 2, 0) :][:5, :5]
+    return float(np.hypot(row - REACH_PX, column - REACH_PX)) if opposite.max() > TWIN else None
