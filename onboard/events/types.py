@@ -47,8 +47,7 @@ class PositionFix:
 class GpsQuality:
     """The receiver's report on itself; None where it has no value. `undulation_m` = ellipsoidal minus AMSL height.
 
-    `sigma_datum_m`: one sigma of the origin of a log's heights, one error that all of them share. `velocity_ne_m_s`:
-    the receiver's own velocity, north and east, in which the autopilot's filter has no part.
+    `sigma_datum_m`: one sigma of the origin of a log's heights, one error that all of them share.
     """
 
     stamp_ns: int
@@ -59,7 +58,6 @@ class GpsQuality:
     sigma_velocity_m_s: float | None = None
     undulation_m: float | None = None
     sigma_datum_m: float | None = None
-    velocity_ne_m_s: tuple[float, float] | None = None
 
     @property
     def has_fix(self) -> bool:

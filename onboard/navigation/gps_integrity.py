@@ -91,7 +91,7 @@ class GpsIntegrity:
 
     def note_position(self, stamp_ns: int, position: Position) -> None:
         if self.positions.insert(stamp_ns, position) == len(self.positions.stamps_ns) - 1:
-            self.jumps.append(self.positions, self.claims(stamp_ns), self._receiver_velocity(stamp_ns))
+            self.jumps.append(self.positions, self.claims(stamp_ns))
 
     def judge(self, moment_ns: int) -> tuple[str, float]:
         """The reason why a position at a moment is not accepted, empty if it is; one sigma (m) of its white part."""
@@ -124,12 +124,6 @@ class GpsIntegrity:
         claims = [q.sigma_velocity_m_s or 0.0 for q in self.quality.latest(moment_ns, RECENT_NS)]
         claims += [f.sigma_velocity_m_s or 0.0 for f in self.filter.latest(moment_ns, RECENT_NS)]
         return max(claims, default=0.0)
-
-    def _receiver_velocity(self, moment_ns: int) -> Array | None:
-        """The velocity (2,), east and north, m/s, that the receiver reported last; None if none recently."""
-        last = self.quality.latest(moment_ns, round(self._gps.quality_timeout_s * 1e9))
-        velocity = last[-1].velocity_ne_m_s if last else None
-        return None if velocity is None else np.array(velocity[::-1])
 
     def datum_sigma_m(self, moment_ns: int) -> float:
         """One sigma (m) of where the log's heights count from, as far as the log reported it until a moment."""

@@ -258,8 +258,9 @@ def _positions(tables: dict[str, _Table], clock: GpsClock) -> list[NavEvent]:
     gps = tables["GPS"]
     for us, row in zip(gps.boot_us.tolist(), gps.values.tolist(), strict=True):
         if row[0] >= WITHOUT_FIX and _is_place(*row[4:7]):
-            ground = _ground_velocity(row)
-            velocity = None if ground is None else (*ground, row[9])
+            course = math.radians(row[8])
+            north, east, down = row[7] * math.cos(course), row[7] * math.sin(course), row[9]
+            velocity = (north, east, down) if math.isfinite(north) else None
             stamp_ns = clock.to_unix_ns(us * 1000) - round(clock.lag_s * 1e9)
             out.append(PositionFix(stamp_ns, row[4], row[5], row[6], velocity))
     return out
@@ -280,13 +281,6 @@ def _attitudes(tables: dict[str, _Table], clock: GpsClock) -> list[NavEvent]:
     return out
 
 
-def _ground_velocity(row: list[float]) -> tuple[float, float] | None:
-    """North and east, m/s, of a GPS row."""
-    speed, course = row[7], math.radians(row[8])
-    north, east = speed * math.cos(course), speed * math.sin(course)
-    return (north, east) if math.isfinite(north) else None
-
-
 def _qualities(gps: _Table, gpa: _Table, clock: GpsClock) -> list[NavEvent]:
     out: list[NavEvent] = []
     moved_us, last_ms = 0, math.nan
@@ -302,10 +296,7 @@ def _qualities(gps: _Table, gpa: _Table, clock: GpsClock) -> list[NavEvent]:
         known = fix_type >= WITHOUT_FIX and abs(undulation) < 150.0  # unknown is the least integer
         sigmas = [_known(value) or None for value in claim[:3]]
         satellites = int(row[3]) if math.isfinite(row[3]) else None
-        quality = GpsQuality(
-            clock.to_unix_ns(us * 1000), fix_type, satellites, sigmas[0], sigmas[1], sigmas[2],
-            velocity_ne_m_s=_ground_velocity(row) if fix_type >= WITHOUT_FIX else None,
-        )  # fmt: skip
+        quality = GpsQuality(clock.to_unix_ns(us * 1000), fix_type, satellites, sigmas[0], sigmas[1], sigmas[2])
         out.append(replace(quality, undulation_m=undulation) if known else quality)
     return out
 

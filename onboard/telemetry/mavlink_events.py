@@ -139,7 +139,6 @@ class MessageToEvent:
             _claim(message, "v_acc"),
             _claim(message, "vel_acc"),
             (ellipsoid_mm - message.alt) / 1000.0 if known else None,
-            velocity_ne_m_s=_receiver_velocity(message) if fix_type >= 3 else None,
         )
 
 
@@ -157,22 +156,17 @@ def _receiver_position(message: Any, now_ns: int, to_host_ns: Callable[[int], in
     if message.fix_type < 3 or not _is_place(message):
         return None
     boot_like = 0 < message.time_usec < MAX_BOOT_US
-    velocity = _receiver_velocity(message)
+    velocity = None
+    if UNKNOWN_U16 not in (message.vel, message.cog):
+        speed, course = message.vel / 100.0, math.radians(message.cog / 100.0)
+        velocity = speed * math.cos(course), speed * math.sin(course), math.nan
     return PositionFix(
         to_host_ns(int(message.time_usec) * 1000) if boot_like else now_ns,
         message.lat / 1e7,
         message.lon / 1e7,
         message.alt / 1000.0,
-        None if velocity is None else (*velocity, math.nan),
+        velocity,
     )
-
-
-def _receiver_velocity(message: Any) -> tuple[float, float] | None:
-    """North and east, m/s, by GPS_RAW_INT's speed over ground and course."""
-    if UNKNOWN_U16 in (message.vel, message.cog):
-        return None
-    speed, course = message.vel / 100.0, math.radians(message.cog / 100.0)
-    return speed * math.cos(course), speed * math.sin(course)
 
 
 def _filter_position(message: Any, stamp_ns: int) -> PositionFix | None:

@@ -252,7 +252,7 @@ def _qualities(gps: _Topic, clock: GpsClock) -> list[NavEvent]:
     undulation = ellipsoid - _place(gps)[2]
     undulation[(ellipsoid == 0.0) | (np.abs(undulation) > 150.0)] = np.nan
     sigmas = gps.columns("eph", "epv", "s_variance_m_s")
-    satellites, velocity = gps.column("satellites_used"), gps.columns("vel_n_m_s", "vel_e_m_s")
+    satellites = gps.column("satellites_used")
     utc_us, fix_types = gps.column("time_utc_usec", unknown=0.0), gps.column("fix_type", unknown=0.0)
     out: list[NavEvent] = []
     moved_us, last_us = 0, math.nan
@@ -263,11 +263,7 @@ def _qualities(gps: _Topic, clock: GpsClock) -> list[NavEvent]:
         claims = [float(s) if math.isfinite(s) and s > 0.0 else None for s in sigmas[i]]
         known = fix_type >= FIX and math.isfinite(undulation[i])
         count = int(satellites[i]) if math.isfinite(satellites[i]) else None
-        has_velocity = fix_type >= FIX and bool(np.isfinite(velocity[i]).all())
-        quality = GpsQuality(
-            clock.to_unix_ns(us * 1000), fix_type, count, claims[0], claims[1], claims[2],
-            velocity_ne_m_s=(float(velocity[i, 0]), float(velocity[i, 1])) if has_velocity else None,
-        )  # fmt: skip
+        quality = GpsQuality(clock.to_unix_ns(us * 1000), fix_type, count, claims[0], claims[1], claims[2])
         out.append(replace(quality, undulation_m=float(undulation[i])) if known else quality)
     return out
 
