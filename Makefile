@@ -132,8 +132,7 @@ node: $(LOCKED)
 
 # The documentation as a site, with search: build/docs/site/index.html. Its list of modules comes from their docstrings.
 .PHONY: docs
-docs: $(INSTALLED) node
-	@cd frontend && { test -d node_modules/iframe-worker || PATH="$(CURDIR)/$(BIN):$$PATH" npm ci --ignore-scripts --silent; }
+docs: $(INSTALLED) web
 	@$(BIN)/python packaging/docs_site.py gather
 	@$(BIN)/python -m tests.module_map build/docs/pages/docs/modules.md
 	@$(BIN)/python packaging/docs_site.py

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from contract.wire.radio_state import LOWER_STREAMS, RadioState
 
@@ -19,7 +19,7 @@ class _OfSystem:
     ours_s: float  # when the last packet of ours came, or it was received first
     bits: float = 0.0
     bit_rate: float | None = None  # of the window before
-    state: tuple[RadioState, float] | None = field(default=None)
+    state: tuple[RadioState, float] | None = None
 
 
 class RadioTraffic:

@@ -1,7 +1,7 @@
 """The documentation as a static site in build/docs/site, which opens from a folder, search too: `make docs`.
 
-Zensical builds it out of a copy of the pages, laid out as in the checkout so that their links hold. Node's packages
-(`make node`, npm ci in frontend/) hold the script with which a browser searches in a folder.
+Zensical builds it out of a copy of the pages, laid out as in the checkout so that their links hold. Node's packages,
+which `make web` has installed in frontend/, hold the script with which a browser searches in a folder.
 """
 
 from __future__ import annotations

@@ -9,6 +9,7 @@ import tomllib
 from collections.abc import Iterable
 from importlib.metadata import Distribution, distribution
 from pathlib import Path
+from typing import Any
 
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
@@ -21,19 +22,25 @@ def built(*command: object) -> None:
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+def project() -> dict[str, Any]:
+    """The table `project` of pyproject.toml."""
+    table: dict[str, Any] = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    return table
+
+
 def declared(*extras: str) -> list[str]:
     """The requirements of the base and of these extras; one that refers to others of ours gives theirs."""
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    lines = list(project["dependencies"])
+    ours = project()
+    lines = list(ours["dependencies"])
     for extra in extras:
-        for line in project["optional-dependencies"][extra]:
+        for line in ours["optional-dependencies"][extra]:
             wanted = Requirement(line)
-            lines += declared(*wanted.extras) if wanted.name == project["name"] else [line]
+            lines += declared(*wanted.extras) if wanted.name == ours["name"] else [line]
     return list(dict.fromkeys(lines))
 
 
 def extras() -> set[str]:
-    return set(tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"])
+    return set(project()["optional-dependencies"])
 
 
 def needed(requirements: Iterable[str]) -> dict[str, Distribution]:

@@ -7,10 +7,8 @@ from importlib.metadata import distribution
 from pathlib import Path
 
 import pytest
-from packaging.requirements import Requirement
-from packaging.utils import canonicalize_name
 
-from tests.installed import declared, extras
+from tests.installed import declared, extras, needed
 from tests.locked import versions
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -22,24 +20,9 @@ def locked() -> set[str]:
     return set(versions())
 
 
-def closure(requirements: list[str]) -> set[str]:
-    """Every package that an installation of some requirements brings, by what the installed ones require."""
-    found: set[str] = set()
-    ahead = [(Requirement(line), "") for line in requirements]
-    while ahead:
-        requirement, extra = ahead.pop()
-        name = str(canonicalize_name(requirement.name))
-        if name in found or (requirement.marker and not requirement.marker.evaluate({"extra": extra})):
-            continue
-        found.add(name)
-        for line in distribution(name).requires or []:
-            ahead += [(Requirement(line), wanted) for wanted in requirement.extras or {""}]
-    return found
-
-
 def flying() -> set[str]:
     """What runs: the base and every extra but `dev`."""
-    return closure(declared(*sorted(extras() - {"dev"})))
+    return set(needed(declared(*sorted(extras() - {"dev"}))))
 
 
 def licence(name: str) -> str:

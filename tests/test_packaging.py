@@ -12,7 +12,6 @@ import re
 import shutil
 import subprocess
 import sys
-import tomllib
 import zlib
 from importlib.metadata import distribution
 from pathlib import Path
@@ -23,6 +22,7 @@ from lief import ELF
 from onboard.camera.gstreamer_helper import BASE, PACKAGES
 from tests.arm64 import emulation
 from tests.bench.image.host import BenchError
+from tests.installed import project
 from tests.left_out import NO_PROGRAM
 from tests.locked import PACKAGING, program
 
@@ -187,8 +187,7 @@ def test_the_package_recommends_what_the_helper_says_to_install() -> None:
 
 
 def test_a_release_is_made_of_a_tagged_checkout_alone_and_every_page_has_its_version(tmp_path: Path) -> None:
-    root = Path(__file__).resolve().parents[1]
-    version = tomllib.loads((root / "pyproject.toml").read_text())["project"]["version"]
+    root, version = PACKAGING.parent, project()["version"]
     assert f"\nversion: {version}\n" in (root / "CITATION.cff").read_text()
     assert f"## {version}" in (root / "CHANGELOG.md").read_text()
     git = tmp_path / "git"  # one that knows no tag, whatever this checkout has

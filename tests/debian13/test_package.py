@@ -17,7 +17,7 @@ from tests.debian13.machine import ARCHITECTURES, INSIDE, PYTHON, ROOT, SUITE, p
 
 @pytest.fixture(scope="module")
 def installed() -> str:
-    """What apt printed of the installation, which brings Debian's own Python alone."""
+    """The output of apt on the installation, which brings Debian's own Python alone."""
     names = "pointclick-onboard pointclick-onboard-terrain"
     return there(
         f"cd build/amd64; apt-get install -y -qq --no-install-recommends ./pointclick-onboard_*.deb "
