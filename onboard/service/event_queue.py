@@ -1,7 +1,9 @@
 """Between the sources and the pipeline: events in order of arrival. Telemetry is never dropped, pictures are.
 
 A computer that cannot keep up must show a picture of now, not of a minute ago: pictures that have waited too long, or
-that are too many, are dropped, oldest first, before anything has been recorded of them.
+that are too many, are dropped, oldest first, before anything has been recorded of them. A burst of work has all of the
+time that is allowed; where the queue stands, pictures wait a fifth of it. Otherwise each would wait as long as is
+allowed for as long as the load lasts, and no more of them would be handled.
 """
 
 from __future__ import annotations
@@ -14,6 +16,8 @@ from dataclasses import dataclass
 from onboard.events.types import Event, Frame
 
 MAX_PICTURES = 64  # grey 640x480: 20 MB
+STANDING = 0.2
+"""A queue stands if, for as long as a picture may wait, each one that left it had waited for more than this share."""
 
 
 @dataclass
@@ -31,6 +35,8 @@ class EventQueue:
         self._now_ns, self._max_pictures = now_ns, max_pictures
         self._entries: deque[_Entry] = deque()
         self._pictures: deque[_Entry] = deque()  # those of the entries that hold one
+        self._long_since_ns: int | None = None  # each picture that left since then had waited long
+        self._stands = False
         self._changed = threading.Condition()
         self._is_closed = False
         self._dropped = 0
@@ -59,6 +65,7 @@ class EventQueue:
                     if entry.event is not None:
                         if self._pictures and self._pictures[0] is entry:
                             self._pictures.popleft()
+                            self._note_wait(entry)
                         return entry.arrival_ns, entry.event
                 if self._is_closed or not self._changed.wait(timeout_s):
                     return None
@@ -84,8 +91,26 @@ class EventQueue:
         return at_ns is not None and self._now_ns() - at_ns < seconds * 1e9
 
     def _shed(self, now_ns: int, keep: int) -> None:
-        oldest_ns = now_ns - round(self.max_delay_s * 1e9)
-        while self._pictures and (len(self._pictures) > keep or self._pictures[0].put_ns < oldest_ns):
+        allowed_ns = round(self.max_delay_s * 1e9)
+        if self._long_since_ns is not None and now_ns - self._long_since_ns > allowed_ns:
+            self._stands = True
+        elif not self.dropped_within(self.max_delay_s):
+            self._stands = False
+        while self._pictures:
+            waited_ns = now_ns - self._pictures[0].put_ns
+            stale = waited_ns > allowed_ns or (self._stands and len(self._pictures) > 1 and self._is_long(waited_ns))
+            if not stale and len(self._pictures) <= keep:
+                return
             self._pictures.popleft().event = None
             self._dropped += 1
             self._dropped_at_ns = now_ns
+
+    def _note_wait(self, picture: _Entry) -> None:
+        now_ns = self._now_ns()
+        if not self._is_long(now_ns - picture.put_ns):
+            self._long_since_ns = None
+        elif self._long_since_ns is None:
+            self._long_since_ns = now_ns
+
+    def _is_long(self, waited_ns: int) -> bool:
+        return waited_ns > STANDING * self.max_delay_s * 1e9

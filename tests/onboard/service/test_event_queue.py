@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 
+import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -67,6 +70,47 @@ def test_a_full_queue_drops_the_oldest_picture_for_a_new_one() -> None:
     assert [e.stamp_ns for e in drained(event_queue)] == [2, 3, 4]
 
 
+def handled(load: float, seconds: float, pause_s: float = 0.0) -> tuple[list[int], list[float]]:
+    """Which pictures of 10 Hz one had who takes `load` times as long for each and once pauses, and their ages, s."""
+    clock = Clock()
+    event_queue = EventQueue(clock.now_ns, 1.0)
+    came, had, ages_s = 0, list[int](), list[float]()
+    free_s = 0.0
+    while free_s < seconds:
+        while 0.1 * came <= free_s:
+            clock.s = 0.1 * came
+            event_queue.put(0, picture(came))
+            came += 1
+        clock.s = free_s
+        got = event_queue.get(0.0)
+        if got is None:
+            free_s = 0.1 * came
+            continue
+        had.append(n_of(got[1]))
+        ages_s.append(free_s - 0.1 * had[-1])
+        free_s += 0.1 * load + (pause_s if len(had) == 20 else 0.0)
+    return had, ages_s
+
+
+@pytest.mark.parametrize("load", [1.1, 1.5, 2.0, 4.0])
+def test_who_cannot_keep_up_gets_pictures_of_now_as_many_as_ever(load: float) -> None:
+    had, ages_s = handled(load, 60.0)
+    settled = len(had) // 3
+    # Before, each had waited for the whole second that is allowed.
+    assert float(np.median(ages_s[settled:])) < 0.25
+    assert max(ages_s) <= 1.0
+    assert len(had) > 0.97 * 60.0 / (0.1 * load)
+    # Spread over the time: a gap as long as a few pictures is one in which features are lost.
+    assert max(np.diff(had[settled:])) <= math.ceil(load) + 2
+
+
+def test_a_burst_that_is_caught_up_with_drops_nothing() -> None:
+    had, ages_s = handled(0.4, 30.0, pause_s=0.7)
+    assert had == list(range(len(had)))
+    assert max(ages_s) > 0.6
+    assert ages_s[-1] < 0.1
+
+
 @given(
     st.lists(st.tuples(st.sampled_from("ptg"), st.floats(0.0, 0.7)), max_size=60),
     st.integers(1, 5),
@@ -99,8 +143,9 @@ def test_no_picture_is_ever_handed_out_late_or_out_of_order(
     assert came == event_queue.dropped + sum(isinstance(e, Frame) for e in out)
 
 
-def n_of(frame: Frame) -> int:
-    return frame.index
+def n_of(event: Event) -> int:
+    assert isinstance(event, Frame)
+    return event.index
 
 
 def test_a_closed_queue_takes_nothing_and_gives_what_it_holds() -> None:
