@@ -57,7 +57,7 @@ class _Thing:
     def has_moved(self) -> bool:
         """True if standing does not explain the places in the newest session. (26.7)"""
         moving, still = self.moving[self.last], self.still[self.last]
-        return moving.count > 2 and still.misfit - moving.misfit > MOVED
+        return still.misfit - moving.misfit > MOVED
 
     @property
     def is_moving(self) -> bool:

@@ -14,7 +14,16 @@ from contract.feature_set import Status
 from contract.spot import Spot, SpotReport
 from ground.spots.found_thing import FoundThing
 from ground.spots.merging import MOST_KEPT_SPOTS, SpotMerger
-from tests.ground.spots.sampled_spots import START_NS, Flight, covariance, is_inside, offset_m, place_at, spot_at
+from tests.ground.spots.sampled_spots import (
+    ROOT_CHI2,
+    START_NS,
+    Flight,
+    covariance,
+    is_inside,
+    offset_m,
+    place_at,
+    spot_at,
+)
 
 Things = Callable[[float], Sequence[Sequence[float]]]
 
@@ -58,6 +67,35 @@ def test_neighbouring_pictures_share_errors_so_that_ten_of_one_second_say_less_t
         for interval_s in (0.1, 6.0)
     )
     assert 1.5 < quick.place.ellipse.semi_major_m / slow.place.ellipse.semi_major_m < 3.0
+
+
+@pytest.mark.parametrize("sigmas_m", [(1.0, 2.0), (2.0, 1.0)])
+def test_of_two_pictures_the_surer_places_a_thing_and_the_other_leads_nowhere_beyond(
+    sigmas_m: tuple[float, float],
+) -> None:
+    """Their ellipses differ as a window's weights do: what is wider is no larger multiple of the same error.
+
+    It was taken for one: two places 2 m apart, one known half as well, were one thing 1.8 m beyond the surer.
+    """
+    merger = SpotMerger()
+    for k, sigma_m in enumerate(sigmas_m):
+        spot = spot_at(2.0 * k, 0.0, covariance(sigma_m, sigma_m, 0.0))
+        merger.add(SpotReport(1, k, START_NS + k * 10**8, True, (spot,), 0, 1.0, 0.3, "uav-1"))
+    (found,) = merger.things()
+    east_m, _ = offset_m(found.place, (2.0 * int(np.argmin(sigmas_m)), 0.0))
+    assert abs(east_m) < 0.3
+    surest_m = ROOT_CHI2 * min(sigmas_m)
+    assert 0.8 * surest_m < found.place.ellipse.semi_major_m < 1.1 * surest_m
+
+
+def test_two_spots_too_far_apart_for_standing_are_one_that_goes_and_it_is_where_it_was_seen_last() -> None:
+    """It was placed midway between the two, 3.5 m off, as one that stands."""
+    merger = SpotMerger()
+    for k, east_m in enumerate((0.0, 7.0)):
+        spot = spot_at(east_m, 0.0, covariance(1.6, 1.2, 30.0))
+        merger.add(SpotReport(1, k, START_NS + 2 * k * 10**9, True, (spot,), 0, 0.95, 0.9, "uav-1"))
+    (found,) = merger.things()
+    assert np.hypot(*offset_m(found.place, (7.0, 0.0))) < 0.5 and found.course is None
 
 
 def test_two_people_5_m_apart_are_two() -> None:
