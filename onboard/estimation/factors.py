@@ -131,7 +131,7 @@ class State:
         turn = -np.einsum("kji,kj->i", self.R_cam_enu, pose[:, :3]) / K
         middle = self.centres_enu_m.mean(axis=0)
         rays = self.points_enu_m - middle
-        rest = dp - np.cross(turn, rays)
+        rest = dp - rays @ skew(turn).T
         along = np.einsum("pi,pi->p", rays, rest) / np.maximum(np.einsum("pi,pi->p", rays, rays), 1e-12)
         moved = rays + rest - along[:, None] * rays
         moved /= (1.0 - np.minimum(along, MAX_LEAP))[:, None]

@@ -28,6 +28,7 @@ from ground.mavlink_link import MavlinkLink
 from ground.mavlink_sets import REPORT_S
 from ground.recording import Recording
 from onboard.config.schema import parse_config
+from onboard.link import set_feed
 from onboard.link.autopilot_radio import AutopilotRadio
 from onboard.link.reply import Answer, Question
 from onboard.link.set_selection import Offer
@@ -194,7 +195,10 @@ def test_watch_says_why_a_radio_that_is_received_brings_no_sets(
         assert eventually(is_shown)
 
 
-def test_watch_shows_the_aircrafts_own_words_of_its_radio(capsys: pytest.CaptureFixture[str]) -> None:
+def test_watch_shows_the_aircrafts_own_words_of_its_radio(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(set_feed, "STATE_S", 1.0)
     with flying() as (radio, (aircraft,)):
         for frame in range(3):
             aircraft.radio.feed.offer(a_set(frame))
