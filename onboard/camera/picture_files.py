@@ -141,18 +141,24 @@ class PictureFolder:
         )
         if not names:
             raise InputError(f"frames {folder}: no picture in it ({', '.join(sorted(PICTURE_SUFFIXES))})")
-        exif = self._whole_in_order(names, [self._check_header(name) for name in names])
-        found = self._from_csv(names, stamps) if stamps is not None else self._from_pictures(names, exif)
+        exif = [self._check_header(name, has_stamps=stamps is not None) for name in names]
+        if stamps is not None:
+            found = self._from_csv(names, stamps)
+        else:
+            found = self._from_pictures(names, self._whole_in_order(names, exif))
         late_ns = round(latency_s * 1e9)
         stamped = [_Stamped(stamp - late_ns, name) for name, stamp in zip(names, found, strict=True)]
         self._stamped = _thinned(_in_capture_order(folder, stamped), max_rate_hz)
 
-    def _check_header(self, name: str) -> int | None:
-        """Check a picture's size; returns its EXIF capture time, if it has one."""
+    def _check_header(self, name: str, has_stamps: bool) -> int | None:
+        """Check a picture's size; returns its EXIF capture time, if it has one and no table has it.
+
+        A PNG's EXIF may lie behind its pixels, which have to be decoded for it.
+        """
         try:
             with Image.open(self.folder / name) as image:
                 _check_size(f"frames {self.folder}: {name}", image.size, self.camera)
-                return stamp_from_exif(image, self._whole_seconds)
+                return None if has_stamps else stamp_from_exif(image, self._whole_seconds)
         except UNDECODABLE as error:
             raise self._undecodable(name, error) from error
 
