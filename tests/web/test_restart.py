@@ -42,6 +42,7 @@ def test_a_server_started_again_has_the_sets_and_pictures_of_before(simulated: S
     again = LiveSource([craft.endpoint], journal=tmp_path / "link")  # no one flies any more
     try:
         wait_for(lambda: {row.frame for row in again.frames(simulated.vehicle)} == wanted, "the sets of before")
+        wait_for(lambda: any(row.has_picture for row in again.frames(simulated.vehicle)), "the picture of before")
         assert [row.frame for row in again.frames(simulated.vehicle) if row.has_picture] == [craft.picture.frame]
         got = again.picture(simulated.vehicle, None, craft.picture.frame)
         assert got is not None
