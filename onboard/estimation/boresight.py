@@ -72,6 +72,12 @@ class PlatformEstimate:
         wider[OFFSET, OFFSET] += stamp_sigma_s**2
         return replace(self, covariance=wider)
 
+    def with_mount_sigmas(self, times: tuple[float, float, float]) -> PlatformEstimate:
+        """The same with so many times the sigma of each of the mount's angles. (16.13)"""
+        scale = np.ones(len(self.mean))
+        scale[BORESIGHT] = times
+        return replace(self, covariance=self.covariance * np.outer(scale, scale))
+
     def aged(self, stamp_ns: int) -> PlatformEstimate:
         """The same some time later. Equation (10.1)."""
         minutes = max(stamp_ns - self.end_ns, 0) / 60e9 if self.end_ns else 0.0

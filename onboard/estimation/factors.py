@@ -331,6 +331,11 @@ class SharedPrior:
     mean: Array
     whitener: Array
 
+    @cached_property
+    def covariance(self) -> Array:
+        """(S, S)."""
+        return np.asarray(np.linalg.inv(self.whitener.T @ self.whitener), np.float64)
+
     def evaluate(self, state: State) -> tuple[Array, Array]:
         """Residual (S,), Jacobian (S, D)."""
         value = np.concatenate([state.platform, state.plane])

@@ -124,7 +124,7 @@ def seen_alone(prior: SharedPrior, shared: Array, covariance: Array) -> tuple[Ar
     the slope, and nothing of the mount, whose error would be taken for the slope across every straight track.
     """
     slope = slice(len(shared) - 2, len(shared))
-    given: Array = np.asarray(np.linalg.inv(prior.whitener.T @ prior.whitener), np.float64)
+    given = prior.covariance
     loose = with_own_variance(with_own_variance(given, BORESIGHT, NO_MOUNT_PRIOR_RAD**2), slope, NO_SLOPE_PRIOR**2)
     mean = prior.mean.copy()
     mean[slope] = 0.0

@@ -25,9 +25,9 @@ from onboard.estimation.ground_variogram import slope_variance
 from onboard.estimation.information import Information, with_marginal
 from onboard.estimation.keyframe import Keyframe, Observation, seen_with, stamp_sigma_s, with_attitude
 from onboard.estimation.moved_optics import MOVED
-from onboard.estimation.platform_states import DELAY, OFFSET, STATES
+from onboard.estimation.platform_states import DELAY, OFFSET, PLANE, STATES
 from onboard.estimation.second_start import by_attitude
-from onboard.estimation.sensor_factors import level_sigma, shared_prior, with_delays_held_open
+from onboard.estimation.sensor_factors import level_sigma, with_delays_held_open
 from onboard.estimation.shared_errors import SensorPose, make_sensor_pose
 from onboard.estimation.solved_window import Solved
 from onboard.estimation.window_acceptance import MIN_POINTS, Memory
@@ -75,7 +75,6 @@ class Window:
         self.ground_slope = GroundSlope(level_sigma(config))
         self._times_s: tuple[float, float] | None = None  # offset and delay as the newest window found them
         self._request = self.prepare()  # the newest
-        self._solved_under = self._request.platform  # the prior that `solved` began with
 
     @property
     def platform(self) -> PlatformEstimate:
@@ -238,7 +237,7 @@ class Window:
         if found is not None:
             self.memory = self.memory.after(found, outcome.agreed, outcome.solved is not None)
         if outcome.solved is not None:
-            self.solved, self._solved_under = self.memory.windows[-1], self._request.platform
+            self.solved = self.memory.windows[-1]
             self._see_slope(outcome.solved)
             is_wrong = outcome.noise.failing.fails_at(self.keyframes[-1].nav.stamp_ns)  # what a sensor reports
             if len(self.keyframes) == self.config.solve.keyframes and not is_wrong:
@@ -270,11 +269,10 @@ class Window:
         if request.slope is None or request.terrain is not None:
             return  # over a terrain model the plane is what that is off by
         start_ns, end_ns = self.keyframes[0].nav.stamp_ns, self.keyframes[-1].nav.stamp_ns
-        prior = shared_prior(self.config, layout, request.platform, False, request.slope)
         state, covariance = solved.solution.state, solved.covariance_at((start_ns + end_ns) // 2)
         covariance = solved.variance_factor * covariance  # of (16.10): where a turn is known less, so is the slope
         shared = np.concatenate([state.platform, state.plane])
-        slope, sigma2 = seen_alone(prior, shared, covariance[layout.shared, layout.shared])
+        slope, sigma2 = seen_alone(solved.known, shared, covariance[layout.shared, layout.shared])
         along = state.centres_enu_m[-1, :2] - state.centres_enu_m[0, :2]
         good = solved.good
         varies = slope_variance(state.points_enu_m[good], solved.solution.point_covariance[good, 2, 2], along)
@@ -292,12 +290,12 @@ class Window:
         covariance = solved.covariance_at((start + end) // 2)[shared, shared]
         covariance[OFFSET, OFFSET] += LEAST_SIGMA_S**2
         before = self.alignment.prior_for(start)
-        solved_under = with_delays_held_open(self.config, self._solved_under)
+        known, known_covariance = solved.known.mean[:-PLANE], solved.known.covariance[:-PLANE, :-PLANE]
         if RATES in solved.layout.blocks:
-            mean, covariance = without_readout(mean, covariance, solved_under.mean, solved_under.covariance)
+            mean, covariance = without_readout(mean, covariance, known, known_covariance)
         # The window's own information is added to the learned prior, which may be tighter: no delay is held open.
-        gained = Information.gained(mean, covariance, solved_under.mean, solved_under.covariance)
-        mean, covariance = gained.upon(before.mean, before.covariance)
+        gained = Information.gained(mean, covariance, known, known_covariance)
+        mean, covariance = gained.upon(before.mean, before.with_mount_sigmas(solved.mount_sigmas).covariance)
         if clock is not None and covariance[OFFSET, OFFSET] < clock.variance:
             value_s = clock.mean_s if clock.is_wide else float(mean[OFFSET])
             mean, covariance = with_marginal(mean, covariance, OFFSET, value_s, clock.variance)

@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 from contract.camera import Camera
 from contract.feature_set import SharedErrors
 from onboard.estimation.bundle_adjustment import Solution
-from onboard.estimation.factors import Layout, Prior
+from onboard.estimation.factors import Layout, Prior, SharedPrior
 from onboard.estimation.ground_motion import GroundMotion
 from onboard.estimation.keyframe import Ids, Keyframe
+
+AS_KNOWN = (1.0, 1.0, 1.0)
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -35,7 +37,13 @@ class Solved:
     camera: Camera  # with its own states as solved
     readout_s: float = 0.0  # likewise
     variance_factor: float = 1.0  # on every variance that is published of it, (16.4)
+    mount_sigmas: tuple[float, float, float] = AS_KNOWN  # times what was known of the mount, (16.13)
     priors: tuple[Prior, ...] = ()  # that the solution was weighted by: where its errors come from, (20.1)
+
+    @property
+    def known(self) -> SharedPrior:
+        """The prior of what all pictures share, as the solution was weighted by."""
+        return next(p for p in self.priors if isinstance(p, SharedPrior))
 
     @property
     def frames(self) -> tuple[int, ...]:

@@ -103,10 +103,12 @@ def by_itself(
         r = prior.evaluate(s.state)[0]
         # No shared state (mount, delay) may be far from its prior: a moving scene is often explained that way.
         # A lens may: what a camera file without sigmas is off by is assumed of lenses, and hardly depends on the scene.
+        # And the mount, which `by_mount` judges, for a window may have widened what was known of it.
         if isinstance(prior, SharedPrior):
-            most = float(np.abs(np.delete(r, np.s_[STATES:-PLANE])).max())
+            r = np.delete(r, BORESIGHT)
+            most = float(np.abs(np.delete(r, np.s_[STATES - BORESIGHT.stop : -PLANE])).max())
             if most > IMPOSSIBLE_SIGMAS:
-                return f"mount, clock or ground far from what was known: {most:.1f} sigmas"
+                return f"clock, compass or ground far from what was known: {most:.1f} sigmas"
         rms = float(np.sqrt(np.mean(r * r)))
         if rms > MAX_PRIOR_SIGMAS:
             what = f"{type(prior).__name__.removesuffix('Prior').lower()} contradicts the pictures"
@@ -116,15 +118,15 @@ def by_itself(
     return _by_terrain(config, terrain, s, good) or _by_distance(config, keyframes, s, layout)
 
 
-def mount_misfit_sigmas(s: Solution, used: Sequence[Prior], before: Sequence[Prior]) -> float:
-    """Return by how many sigmas of such residuals a solution's mount is off what was known of it, at most.
+def mount_misfit_sigmas(s: Solution, used: Sequence[Prior], before: Sequence[Prior]) -> Array:
+    """Return by how many sigmas of such residuals a solution's mount is off what was known of it: (3,).
 
     An attitude's constant error is shared by mount, attitude and the ground's slope, each within its own sigmas. `used`
     and `before`: the sensors as weighted in the solution and by earlier windows. Equation (16.12).
     """
     shared = [prior for prior in before if isinstance(prior, SharedPrior)]
     if not shared:
-        return 0.0
+        return np.zeros(3)
     S, right = s.reduced.S, np.zeros(len(s.reduced.S))
     for sign, priors in ((-1.0, used), (1.0, before)) if used is not before else ():
         for r, J in (prior.evaluate(s.state) for prior in priors):
@@ -133,14 +135,14 @@ def mount_misfit_sigmas(s: Solution, used: Sequence[Prior], before: Sequence[Pri
     found = np.linalg.solve(S, np.column_stack([right, J.T]))
     rests_on_it = np.sum(J.T * found[:, 1:], axis=0)
     shows = rests_on_it < 1.0 - LEAST_REDUNDANCY
-    sigmas = np.abs(r - J @ found[:, 0])[shows] / np.sqrt(1.0 - rests_on_it[shows])
-    return float(sigmas.max(initial=0.0))
+    out: Array = np.where(shows, np.abs(r - J @ found[:, 0]) / np.sqrt(np.where(shows, 1.0 - rests_on_it, 1.0)), 0.0)
+    return out
 
 
-def by_mount(sigmas: float) -> str | None:
+def by_mount(sigmas: Array) -> str | None:
     """Return the reason against a window whose mount is so far from what was known of it; None if that is possible."""
-    if sigmas > IMPOSSIBLE_SIGMAS:
-        return f"attitude or mount is off by more than can be: {sigmas:.1f} sigmas"
+    if sigmas.max() > IMPOSSIBLE_SIGMAS:
+        return f"attitude or mount is off by more than can be: {sigmas.max():.1f} sigmas"
     return None
 
 

@@ -54,7 +54,8 @@ class WindowProblem:
         sensors = Sensors(
             request.config, request.R_body_cam, self.keyframes, self.layout, noise.factors, noise.jitter_s
         )
-        priors = sensors.priors(request.platform, unweighed.terrain is not None, request.slope)
+        platform = request.platform.with_mount_sigmas(noise.mount_sigmas)
+        priors = sensors.priors(platform, unweighed.terrain is not None, request.slope)
         return replace(unweighed, weight=unweighed.weight / noise.noise_inflation, priors=[*priors, *unweighed.priors])
 
     def weighed(self, noise: Noise, state: State) -> Weighed:

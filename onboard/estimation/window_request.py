@@ -16,7 +16,7 @@ from onboard.estimation.ground_slope import SlopePrior
 from onboard.estimation.keyframe import Keyframe
 from onboard.estimation.reobservation import Agreement
 from onboard.estimation.sensor_groups import Failing
-from onboard.estimation.solved_window import Solved
+from onboard.estimation.solved_window import AS_KNOWN, Solved
 from onboard.estimation.variance_components import VarianceFactors
 from onboard.estimation.window_acceptance import Memory
 from onboard.geometry.terrain_grid import Terrain
@@ -31,6 +31,7 @@ class Noise:
     pixel_sigma_px: float
     jitter_s: float
     noise_inflation: float = 1.0  # times the sigma that the tracks' own residuals show
+    mount_sigmas: tuple[float, float, float] = AS_KNOWN  # times what is known of the mount's angles, in one window
     factors: VarianceFactors = field(default_factory=VarianceFactors)
     failing: Failing = field(default_factory=Failing)  # sensors that contradict the others
 

@@ -30,7 +30,7 @@ from onboard.estimation.second_start import (
 from onboard.estimation.sensor_groups import Innovation, failing_groups, innovations
 from onboard.estimation.sensor_table import PARTS
 from onboard.estimation.shared_errors import shared_errors
-from onboard.estimation.solved_window import Solved
+from onboard.estimation.solved_window import AS_KNOWN, Solved
 from onboard.estimation.variance_components import evidence_of
 from onboard.estimation.window_acceptance import (
     MAX_DEPTH_SIGMA,
@@ -198,7 +198,27 @@ def _settled(request: Request, window: WindowProblem, weighed: Weighed) -> tuple
         if not again:
             break
         weighed = window.weighed(noise, weighed.solution.state)
-    return weighed, noise
+    return _with_mount_as_found(request, window, weighed), noise
+
+
+def _with_mount_as_found(request: Request, window: WindowProblem, weighed: Weighed) -> Weighed:
+    """The window with its mount known to as many more sigmas as it is off what was known, where that is more. (16.13)
+
+    An attitude that is off by a constant angle shows in level flight by nothing else: the ground slopes instead.
+    """
+    found = mount_misfit_sigmas(weighed.solution, weighed.problem.priors, _priors_before(request, window, weighed))
+    if found.max() < np.exp(0.5 * MIN_CHANGE):
+        return weighed
+    x, y, z = np.maximum(found, 1.0).tolist()
+    return window.weighed(replace(weighed.noise, mount_sigmas=(x, y, z)), weighed.solution.state)
+
+
+def _priors_before(request: Request, window: WindowProblem, weighed: Weighed) -> list[Prior]:
+    """The priors as earlier windows weighted the sensors: this window's own weights would excuse them."""
+    noise, factors = weighed.noise, request.noise.factors
+    if noise.factors is factors and noise.mount_sigmas == AS_KNOWN:
+        return weighed.problem.priors
+    return window.problem(replace(noise, factors=factors, mount_sigmas=AS_KNOWN)).priors
 
 
 def _depth_share_without_known_ground(window: WindowProblem, weighed: Weighed) -> float:
@@ -321,14 +341,12 @@ def _judged(request: Request, window: WindowProblem, weighed: Weighed, adjusted:
     if float(np.median(_depth_sigma(s, covariance, good, layout))) / depth_m > MAX_DEPTH_SIGMA:
         # coarse and fine flow disagree too much to know the scale: water
         return refused(Status.POOR_FIT, GROUND_MOVES)
-    # Earlier windows' noise decides whether sensors contradict the pictures: this window's own would excuse them.
-    is_own = noise.factors is not request.noise.factors
-    before = window.problem(replace(noise, factors=request.noise.factors)).priors if is_own else priors
+    before = _priors_before(request, window, weighed)
     against = by_itself(config, keyframes, request.terrain, s, layout, kept, good, before)
     against = against or by_mount(mount_misfit_sigmas(s, priors, before))
     if against is not None:
         return refused(Status.POOR_FIT, against)
-    solved = _solved(request, window, s, good, sigma_px, moving, keyframes, priors)
+    solved = _solved(request, window, weighed, s, good, sigma_px, moving, keyframes)
     # The tracking noise is updated slowly, so that one odd window changes little.
     learned = noise.pixel_sigma_px * (own * fit * noise.noise_inflation) ** 0.3
     noise = replace(noise, pixel_sigma_px=float(np.clip(learned, MIN_PIXEL_SIGMA_PX, 5.0)))
@@ -342,15 +360,15 @@ def _judged(request: Request, window: WindowProblem, weighed: Weighed, adjusted:
 def _solved(
     request: Request,
     window: WindowProblem,
+    weighed: Weighed,
     s: Solution,
     good: Mask,
     sigma_px: float,
     moving: GroundMotion,
     keyframes: tuple[Keyframe, ...],
-    priors: list[Prior],
 ) -> Solved:
     """The solved window: the solution, the keyframes with its poses, and all that is derived from it once."""
-    state, layout = s.state, window.layout
+    state, layout, priors = s.state, window.layout, weighed.problem.priors
     posed = tuple(
         replace(k, R_cam_enu=R, centre_enu_m=C)
         for k, R, C in zip(keyframes, state.R_cam_enu, state.centres_enu_m, strict=True)
@@ -363,7 +381,7 @@ def _solved(
     shared = shared_errors(request.config, priors, state, s.covariance)
     readout_s = window_start.readout_of(request, layout, state)
     found = layout, s, window.ids, good, plane, *noise_px, posed, shared, moving, camera, readout_s
-    return Solved(*found, priors=tuple(priors))
+    return Solved(*found, mount_sigmas=weighed.noise.mount_sigmas, priors=tuple(priors))
 
 
 def _depth_sigma(s: Solution, covariance: Array, good: Mask, layout: Layout) -> Array:
