@@ -388,7 +388,9 @@ class Service(Section):
     state_dir: str | None = choice(
         None, "where estimates and recordings are kept; if not set, $STATE_DIRECTORY, else ~/.local/state/pointclick"
     )
-    max_delay_s: float = quantity(1.0, 0.1, 30.0, "s", "pictures that wait longer than this are dropped, oldest first")
+    max_delay_s: float = quantity(
+        1.0, 0.1, 30.0, "s", "pictures that wait longer are dropped; once they queue for so long, a fifth of it"
+    )
     prometheus: str | None = choice(None, "HOST:PORT to serve Prometheus text on, such as 127.0.0.1:9464")
 
 
