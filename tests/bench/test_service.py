@@ -49,23 +49,23 @@ def in_good_order(flying: Sortie) -> None:
 
 
 def test_dropped_buffers_are_counted_and_nothing_else_happens(flying: Sortie) -> None:
-    pid, before = flying.unit("MainPID"), flying.report()
+    pid = flying.unit("MainPID")
     cameras.set_control(flying.machine, VIVID, "percentage_of_dropped_buffers", 30)
+    before = flying.report()  # its command takes some seconds on a slow machine, of which none are lost
 
     def shows_it(now: dict[str, Any]) -> bool:
-        return sum(_taken(before, now)) >= 60 and now["status"]["camera_hz"] < 0.9 * RATE_HZ
+        return sum(_taken(before, now)) >= 60 and 0.5 * RATE_HZ < now["status"]["camera_hz"] < 0.9 * RATE_HZ
 
     report, _ = flying.wait_for("sixty pictures, some of them lost", shows_it, 20.0)
     cameras.set_control(flying.machine, VIVID, "percentage_of_dropped_buffers", 0)
     seen, lost = _taken(before, report)
-    # Of those until the control is set none are lost, and its command takes some seconds on a slow machine.
-    assert 0.1 < lost / (seen + lost) < 0.45, (before, report)
+    assert 0.15 < lost / (seen + lost) < 0.45, (before, report)
     assert report["camera"]["state"] in THERE
     assert flying.unit("MainPID") == pid
 
 
 def _taken(before: dict[str, Any], now: dict[str, Any]) -> tuple[int, int]:
-    """How many pictures came between two reports, and how many the driver dropped."""
+    """The numbers of pictures that came between two reports, and that the driver dropped."""
     seen = now["camera"]["figures"]["pictures"] - before["camera"]["figures"]["pictures"]
     return round(seen), now["status"]["lost"] - before["status"]["lost"]
 

@@ -71,7 +71,7 @@ def test_a_full_queue_drops_the_oldest_picture_for_a_new_one() -> None:
 
 
 def handled(load: float, seconds: float, pause_s: float = 0.0) -> tuple[list[int], list[float]]:
-    """Which pictures of 10 Hz one had who takes `load` times as long for each and once pauses, and their ages, s."""
+    """The pictures of 10 Hz, and their ages (s), had by one who takes `load` times as long for each and once pauses."""
     clock = Clock()
     event_queue = EventQueue(clock.now_ns, 1.0)
     came, had, ages_s = 0, list[int](), list[float]()
