@@ -295,7 +295,7 @@ class Window:
             mean, covariance = without_readout(mean, covariance, known, known_covariance)
         # The window's own information is added to the learned prior, which may be tighter: no delay is held open.
         gained = Information.gained(mean, covariance, known, known_covariance)
-        mean, covariance = gained.upon(before.mean, before.with_mount_sigmas(solved.mount_sigmas).covariance)
+        mean, covariance = gained.upon(before.mean, before.covariance)
         if clock is not None and covariance[OFFSET, OFFSET] < clock.variance:
             value_s = clock.mean_s if clock.is_wide else float(mean[OFFSET])
             mean, covariance = with_marginal(mean, covariance, OFFSET, value_s, clock.variance)

@@ -30,7 +30,7 @@ from onboard.estimation.second_start import (
 from onboard.estimation.sensor_groups import Innovation, failing_groups, innovations
 from onboard.estimation.sensor_table import PARTS
 from onboard.estimation.shared_errors import shared_errors
-from onboard.estimation.solved_window import AS_KNOWN, Solved
+from onboard.estimation.solved_window import Solved
 from onboard.estimation.variance_components import evidence_of
 from onboard.estimation.window_acceptance import (
     MAX_DEPTH_SIGMA,
@@ -43,7 +43,7 @@ from onboard.estimation.window_acceptance import (
     mount_misfit_sigmas,
 )
 from onboard.estimation.window_problem import WindowProblem
-from onboard.estimation.window_request import Noise, Outcome, Request, Weighed
+from onboard.estimation.window_request import AS_KNOWN, Noise, Outcome, Request, Weighed
 from onboard.geometry.plane_fit import fit_plane
 from onboard.geometry.robust import OUTLIER_SIGMAS
 from onboard.navigation.limits import MOST_OF
@@ -114,19 +114,29 @@ def refine(problem: Problem, first: Solution, least_own: float, camera_file: Cam
 def adjust(request: Request) -> Outcome:
     """Solve a window; the status of the outcome is OK, or the reason why it has no result.
 
-    From other starts too, where its pictures may have another explanation: `second_start`, (16.8).
+    From other starts too, where its pictures may have another explanation: `second_start`, (16.8). A likelier one has
+    its own: those of a first solve that stopped short of its minimum are none of them.
     """
-    best = _adjusted(request)
-    for start in other_starts(request, best):
-        other = replace(request, keyframes=start, previous=None, is_oriented=True)
-        if not is_far_worse(best, other):
-            best = likelier(request, best, _adjusted(other))
+    first = _adjusted(request)
+    best = _likeliest(request, first)
+    if best is not first and best.solved is not None:
+        best = _likeliest(request, best)
     judged, lower = by_profile(request, best)
     if lower is None:
         return judged
     other = replace(request, keyframes=lower, previous=None, is_oriented=True)
     preferred = likelier(request, best, _adjusted(other))
     return judged if preferred is best else by_profile(request, preferred)[0]
+
+
+def _likeliest(request: Request, found: Outcome) -> Outcome:
+    """Return what other starts, than that of an outcome, lead to if it is likelier; a refusal if both fit."""
+    best = found
+    for start in other_starts(request, found):
+        other = replace(request, keyframes=start, previous=None, is_oriented=True)
+        if not is_far_worse(best, other):
+            best = likelier(request, best, _adjusted(other))
+    return best
 
 
 def _adjusted(request: Request) -> Outcome:
@@ -381,7 +391,7 @@ def _solved(
     shared = shared_errors(request.config, priors, state, s.covariance)
     readout_s = window_start.readout_of(request, layout, state)
     found = layout, s, window.ids, good, plane, *noise_px, posed, shared, moving, camera, readout_s
-    return Solved(*found, mount_sigmas=weighed.noise.mount_sigmas, priors=tuple(priors))
+    return Solved(*found, priors=tuple(priors))
 
 
 def _depth_sigma(s: Solution, covariance: Array, good: Mask, layout: Layout) -> Array:
