@@ -82,7 +82,7 @@ def parser() -> argparse.ArgumentParser:
 
     _add_checks(commands)
     _add_make_credentials(
-        commands.add_parser("make-credentials", help="certificates for an encrypted link (docs/link.md)")
+        commands.add_parser("make-credentials", help="certificates for an encrypted link (docs/certificates.md)")
     )
 
     _add_bench(commands.add_parser("bench", help="what this computer can do: pictures a second, stages, temperature"))

@@ -32,7 +32,7 @@ def add_source_arguments(parser: argparse.ArgumentParser) -> None:
     source.add_argument(
         "--connect",
         metavar="ENDPOINT",
-        help=f"zenoh endpoint (default {DEFAULT_ENDPOINT}), or mavlink:udpin:HOST:PORT (docs/link.md)",
+        help=f"zenoh endpoint (default {DEFAULT_ENDPOINT}), or mavlink:udpin:HOST:PORT (docs/autopilot-radio.md)",
     )
     source.add_argument(
         "--from", dest="recording", metavar="SESSION.mcap", type=Path, help="a recorded session, or a folder with one"

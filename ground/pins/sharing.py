@@ -5,7 +5,7 @@ has received from others, so that all servers that are connected in any way get 
 late joiner, a partition that has healed, a message lost) a server asks the other what it has and for what it has not:
 nothing depends on any single message. Only what `PinStore.merge_all` takes gets in.
 
-Every server that can connect can write: on a network that is not your own, use certificates (docs/link.md).
+Every server that can connect can write: on a network that is not your own, use certificates (docs/certificates.md).
 """
 
 from __future__ import annotations
