@@ -35,7 +35,7 @@ EXAMPLES = """\
 examples:
   pc-ground click 480 120                                    the newest picture of the aircraft on this machine
   pc-ground click 480 120 --connect tcp/10.0.0.7:7447        over a link
-  pc-ground click 480 120 --connect mavlink:udpin:0.0.0.0:14551    through the autopilot's radio (docs/autopilot-radio.md)
+  pc-ground click 480 120 --connect mavlink:udpin:0.0.0.0:14551  by the autopilot's radio (docs/autopilot-radio.md)
   pc-ground click 480 120 --frame 14 --from SESSION.mcap     a picture of a recording
   pc-ground click 480 120 --from SESSION.mcap --format mgrs  as an MGRS square (needs pointclick[geo])
   pc-ground click --from SESSION.mcap --format kml < clicks.txt > clicks.kml    lines of U V, or FRAME U V

@@ -1,4 +1,4 @@
-"""`pc-ground spots`: the hot spots of pictures as things: a line for each that is new or has changed. docs/thermal.md.
+"""`pc-ground spots`: hot spots as things, a line for each that is new or has changed (docs/hot-spots.md).
 
 Exit status: 0 something was found; 3 nothing was, in a recording or in the time given; 2 wrong usage.
 """

@@ -118,12 +118,12 @@ MEANING: dict[str, tuple[str, str]] = {
     ),
     "link": (
         "Whether the ground can connect.",
-        "If bad: another program has the port, or a certificate is not readable; see link.listen and docs/certificates.md.",
+        "If bad: another program has the port, or a certificate is not readable: link.listen, docs/certificates.md.",
     ),
     "radio": (
         f"What the autopilot's radio carries of ours, and of its own buffer at least {LEAST_FREE_PERCENT} % free; only "
         "with link.mavlink.",
-        "If bad: slower streams of the autopilot's on that radio, or another link.mavlink_bit_rate (docs/autopilot-radio.md).",
+        "If bad: slower streams of the autopilot's there, or another link.mavlink_bit_rate (docs/autopilot-radio.md).",
     ),
     "disk": (
         "Free space above what is to be kept free.",

@@ -19,7 +19,8 @@ RADIOS = {
     "elrs": TelemetryRadio("ELRS or another of some 400 bit/s: clicks, but no sets", 400.0),
 }
 OTHER_RADIO = "another, by its bit rate"
-# Of the radio: with it no message of the autopilot's is more than 50 ms later (docs/autopilot-radio.md); and what sets need.
+# Of the radio: with it no message of the autopilot's is more than 50 ms later (docs/autopilot-radio.md); and what sets
+# need.
 SHARE, FOR_SETS = 1.0 / 6.0, 4800.0
 LEAST, MOST = 200.0, 1e6  # as of `link.mavlink_bit_rate`
 

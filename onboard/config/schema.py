@@ -354,7 +354,7 @@ class TracksConfig(Section):
 
 
 class SpotsConfig(Section):
-    """Hot spots that a thermal camera sees (thermal.enabled; docs/thermal.md)."""
+    """Hot spots that a thermal camera sees (thermal.enabled; docs/hot-spots.md)."""
 
     enabled: bool = choice(True, "look for hot spots, if the camera is a thermal one")
     false_per_km2: float = quantity(
