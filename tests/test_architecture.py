@@ -73,6 +73,11 @@ IO_ALLOWED = {
 }  # fmt: skip
 # One kind of thread for both sides, neither of which may import the other.
 IO_MODULES = {"contract.supervised_thread", "ground.spots.received"}
+CHANGING = {"add", "append", "clear", "discard", "extend", "insert", "pop", "remove", "reverse", "sort", "update"}
+# Attributes of other classes with a name that a `Window` or a `Record` has too.
+SAME_NAMES = {
+    "TimedStandingParts.seen", "buffer.memory", "out.solved", "request.memory", "self._statistics.keyframes",
+}  # fmt: skip
 SHIPPED = ("contract", "ground", "onboard")
 
 
@@ -147,6 +152,29 @@ def broken_arrows(all_modules: Iterable[str]) -> list[str]:
         for i in imports(m)
         if i.top in tops and not is_allowed(m, i.module)
     ]
+
+
+def attributes_of(name: str, module: str) -> set[str]:
+    """The names of a class's attributes: those that it declares, and those that its methods assign."""
+    tree = ast.parse(path_of(module).read_text(encoding="utf-8"))
+    body = next(n for n in tree.body if isinstance(n, ast.ClassDef) and n.name == name)
+    stored = [n for n in ast.walk(body) if isinstance(n, ast.Attribute) and isinstance(n.ctx, ast.Store)]
+    declared = {n.target.id for n in body.body if isinstance(n, ast.AnnAssign) and isinstance(n.target, ast.Name)}
+    return declared | {n.attr for n in stored if ast.unparse(n.value) == "self"}
+
+
+def changed_from_outside(tree: ast.AST, attributes: set[str]) -> Iterator[ast.Attribute]:
+    """The attributes of these names, but for those of `self`, that are assigned, deleted, or changed in place."""
+    for node in ast.walk(tree):
+        changed: ast.AST = node
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in CHANGING:
+            changed = node.func.value
+        elif not isinstance(getattr(node, "ctx", None), (ast.Store, ast.Del)):
+            continue
+        while isinstance(changed, ast.Subscript):
+            changed = changed.value
+        if isinstance(changed, ast.Attribute) and changed.attr in attributes and ast.unparse(changed.value) != "self":
+            yield changed
 
 
 EVERY = modules("contract", "ground", "onboard", "simulation", "demo", "benchmarks")
@@ -227,6 +255,19 @@ def test_no_modules_import_each_other_in_a_circle() -> None:
     }
     assert sum(map(len, needs.values())) > 1000
     list(TopologicalSorter(needs).static_order())  # CycleError names one
+
+
+def test_a_window_and_a_record_are_changed_by_their_own_methods_alone() -> None:
+    held = attributes_of("Window", "onboard.estimation.sliding_window")
+    held |= attributes_of("Record", "onboard.pipeline.record_book")
+    assert held >= {"keyframes", "solved", "terrain", "_times_s", "placed", "is_settled"}
+    found = [
+        f"{path_of(m).relative_to(ROOT)}:{a.lineno} changes {ast.unparse(a)}"
+        for m in modules("onboard", "simulation", "demo", "benchmarks")
+        for a in changed_from_outside(ast.parse(path_of(m).read_text(encoding="utf-8")), held)
+        if ast.unparse(a) not in SAME_NAMES
+    ]
+    assert not found, "\n".join(found)
 
 
 def test_nothing_heavy_is_loaded_by_importing_the_ground() -> None:

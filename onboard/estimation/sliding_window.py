@@ -2,11 +2,12 @@
 
 The window holds no picture and knows no clock: keyframes come in with their measurements and their navigation state.
 When to add one is the pipeline's decision, and also when a request made by `prepare` is adjusted and its outcome
-adopted.
+adopted. Nothing but the window changes what it holds.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -37,13 +38,14 @@ from onboard.estimation.window_start import follow, start_tolerance_rad
 from onboard.geometry.plane_homography import Pose
 from onboard.geometry.relative_orientation import rotation_only
 from onboard.geometry.terrain_grid import Terrain
-from onboard.navigation.navigator import NavState
+from onboard.navigation.navigator import Navigation, NavState
 from onboard.navigation.position_interpolation import Displacement
 
 Array = NDArray[np.float64]
 
 GUESS_STEPS = 2  # of a rotation that is only the start of a resection or a solve
 LEAST_SIGMA_S = 0.005  # of attitudes' stamps, the same for all: a share of a turn of an autopilot's loop (2.5 to 20 ms)
+LEAST_OFFSET_S, LEAST_DELAY_S = 0.003, 0.02  # of 3 rad/s and 30 m/s: half a degree and half a metre
 MIN_UPDATE = 5  # keyframes of a last, short window that may still update the alignment
 
 
@@ -103,7 +105,62 @@ class Window:
         states = self.alignment.platform.mean[STATES:]
         self.camera_taken, self.camera = states.copy(), corrected(camera, states)
 
-    def forget_solutions(self) -> None:
+    def change_terrain(self, terrain: Terrain | None) -> None:
+        """Take the terrain of the area below, as far as it is known."""
+        self.terrain = terrain
+
+    def forget_ground(self) -> None:
+        """Forget terrain and slope: the frame that they are in has been left."""
+        self.terrain = None
+        self.ground_slope.forget()
+
+    def change_mount(self, keyframes: Sequence[Keyframe], noise: Noise) -> None:
+        """Take the keyframes with another mount's attitudes, and its noise; what was solved by the old is forgotten."""
+        self._forget_solutions()
+        self.keyframes, self.noise = list(keyframes), noise
+
+    def look_up_again(self, navigation: Navigation) -> None:
+        """Look up the keyframes' navigation at the newest time offset and delay; where one has none, all keep theirs.
+
+        An offset acts on a window by first derivatives, (5.4) to (5.7), which hold for some tens of milliseconds of a
+        roll.
+        """
+        offset_s, delay_s = self.times_s()
+        if (
+            all(
+                abs(k.nav_offset_s - offset_s) <= LEAST_OFFSET_S and abs(k.nav_delay_s - delay_s) <= LEAST_DELAY_S
+                for k in self.keyframes
+            )
+            or not with_attitude(self.keyframes).any()
+        ):
+            return
+        offset_ns = round(offset_s * 1e9)
+        solved = set() if self.solved is None else set(self.solved.frames)
+        found: list[Keyframe] = []
+        for k in self.keyframes:
+            nav = navigation.state_at(k.nav.stamp_ns, offset_s, k.nav.stamp_sigma_s, delay_s)
+            rate = navigation.body_rate_at(k.nav.stamp_ns + offset_ns)
+            if isinstance(nav, Status) or nav.stretch != k.nav.stretch or (rate is None and nav.R_enu_body is not None):
+                return
+            rate = k.body_rate_rad_s if rate is None else rate
+            displacement = None
+            if found and k.displacement is not None:
+                displacement = navigation.displacement(found[-1].nav.stamp_ns + offset_ns, k.nav.stamp_ns + offset_ns)
+            now = replace(
+                k, nav=nav, nav_offset_s=offset_s, nav_delay_s=delay_s, body_rate_rad_s=rate, displacement=displacement
+            )
+            R_cam_enu = self.attitude_guess(nav)
+            if k.frame not in solved and R_cam_enu is not None:  # its start was by the navigation that is replaced
+                now = replace(now, R_cam_enu=R_cam_enu, centre_enu_m=self.position_guess(nav))
+            found.append(now)
+        self.keyframes = found
+
+    def forget_solution_since(self, stamp_ns: int) -> None:
+        """Forget the newest solution if the window holds a picture taken then or later."""
+        if any(k.nav.stamp_ns >= stamp_ns for k in self.keyframes):
+            self.solved = None
+
+    def _forget_solutions(self) -> None:
         """Forget what was solved, and what later windows are compared with; the keyframes stay."""
         self.solved, self.memory = None, Memory()
 
@@ -251,7 +308,7 @@ class Window:
         """Begin again at the time offset that fits; all that windows found at another is forgotten."""
         offset_s, delay_s = self.times_s()
         self.refusal = f"attitudes fit at another time offset: {clock.best_s:+.2f} s, not {offset_s:+.2f}"
-        self.forget_solutions()
+        self._forget_solutions()
         failing = replace(self.noise.failing, failures={})  # the clock contradicted, no sensor
         self.noise = replace(self.noise, failing=failing)
         if clock.rejects(float(self.alignment.platform.mean[OFFSET])):

@@ -63,8 +63,7 @@ def cost_of(
 class MountSelection:
     """Takes every picture's tracks and every window; knows the mount hypothesis once they clearly show one."""
 
-    def __init__(self, camera: Camera, R_body_cam: Array) -> None:
-        self.camera = camera  # that the tracks' pixels are by
+    def __init__(self, R_body_cam: Array) -> None:
         self._R_body_cam = R_body_cam
         self._scores: dict[MountHypothesis, float] = {}
         self._trials: dict[MountHypothesis, Promise] = {}
@@ -92,7 +91,7 @@ class MountSelection:
             return f"{navigation.mount_hypothesis.value}; not yet confirmed by the pictures"
         return f"{self.verdict.value}, as the pictures show"
 
-    def weigh(self, was: NavState, now: NavState, plane: Array, from_px: Array, to_px: Array) -> None:
+    def weigh(self, camera: Camera, was: NavState, now: NavState, plane: Array, from_px: Array, to_px: Array) -> None:
         """Take the tracks (N, 2) from keyframe `was` to picture `now`; `plane` (3,): ground height at the ENU origin
         and its slopes. Does nothing where the hypotheses are the same.
         """
@@ -104,7 +103,7 @@ class MountSelection:
             return
         for hypothesis in both:
             poses = [Pose((n.mount_hypotheses[hypothesis] @ self._R_body_cam).T, n.position_enu_m) for n in (was, now)]
-            cost = cost_of(self.camera, poses, plane, from_px, to_px)
+            cost = cost_of(camera, poses, plane, from_px, to_px)
             self._scores[hypothesis] = MEMORY * self._scores.get(hypothesis, 0.0) + cost
         best = min(both, key=lambda c: self._scores[c])
         others = [c for c in both if _differ((attitudes[c], attitudes[best]))]
@@ -203,11 +202,10 @@ def carry_over(window: Window, records: list[Record], navigation: Navigation, hy
     navs = _by_hypothesis([record.nav for record in records], hypothesis)
     if request is None or navs is None:
         return False
-    window.forget_solutions()
-    window.keyframes, window.noise = [], request.noise
-    for keyframe in request.keyframes:
-        rate = navigation.body_rate_at(keyframe.nav.stamp_ns + round(keyframe.nav_offset_s * 1e9))
-        window.keyframes.append(keyframe if rate is None else replace(keyframe, body_rate_rad_s=rate))
+    rates = [navigation.body_rate_at(k.nav.stamp_ns + round(k.nav_offset_s * 1e9)) for k in request.keyframes]
+    kept = zip(request.keyframes, rates, strict=True)
+    keyframes = [k if rate is None else replace(k, body_rate_rad_s=rate) for k, rate in kept]
+    window.change_mount(keyframes, request.noise)
     for record, nav in zip(records, navs, strict=True):
-        record.nav, record.placed, record.is_settled = nav, None, False
+        record.change_mount(nav)
     return True

@@ -21,7 +21,7 @@ from contract.camera import Camera
 from contract.feature_set import FeatureSet, Status
 from contract.geodesy import LocalFrame
 from onboard.config.schema import Config
-from onboard.estimation.keyframe import Observation, observation, seen_with
+from onboard.estimation.keyframe import Observation, observation
 from onboard.estimation.moved_optics import MOVED
 from onboard.estimation.platform_states import OFFSET
 from onboard.estimation.prediction_error import prediction_sigma_px, turn_between, way_between
@@ -36,7 +36,7 @@ from onboard.navigation.limits import LIKELY_SIGMAS
 from onboard.navigation.navigator import Navigation, NavState
 from onboard.pipeline.estimates import found_in_flight
 from onboard.pipeline.frozen_frames import Staleness, Stillness
-from onboard.pipeline.keyframes import look_up_again, profile_of, wants_keyframe
+from onboard.pipeline.keyframes import profile_of, wants_keyframe
 from onboard.pipeline.mount_selection import MountSelection, carry_over
 from onboard.pipeline.picture_motion import TURN_RAD_S, ground_so_far, moving_at, predict_motion, what_parts
 from onboard.pipeline.placing import Placing
@@ -84,7 +84,7 @@ class Pipeline:
             self.tracker.leave_out(burned_in)
         self.tracks = self.tracker.nothing()  # of the newest picture, for display
         self.window = Window(config, camera)
-        self.mount_selection = MountSelection(camera, self.window.R_body_cam)
+        self.mount_selection = MountSelection(self.window.R_body_cam)
         self._lens_doubt = LensDoubt()
         self._frame_doubt = FrameDoubt()
         self.zoom = ZoomFollowing(camera, config.camera.sigma_zoom)
@@ -186,12 +186,12 @@ class Pipeline:
         if parted_by is not None:  # this picture and the one before it may not be in one window
             self._restart()
         if self._frame is not self.navigation.frame:
-            self._frame, self.window.terrain = self.navigation.frame, None
-            self.window.ground_slope.forget()
+            self._frame = self.navigation.frame
+            self.window.forget_ground()
             self._lens_doubt.ground = None
         if self.terrain is not None:
             with self._statistics.timed("terrain"):
-                self.window.terrain = terrain_about(self.terrain, self._frame, nav, self.window.terrain)
+                self.window.change_terrain(terrain_about(self.terrain, self._frame, nav, self.window.terrain))
         with self._statistics.timed("tracking"):
             tracks = self._track(frame.image, nav)
         if isinstance(tracks, Status):
@@ -215,20 +215,17 @@ class Pipeline:
         if self.zoom.is_moving(stamp_ns) and self.window.keyframes:
             self._adopt()
             since_ns = self.zoom.suspect_since_ns
-            zoomed = [r for r in self._book.records if r.frame.stamp_ns >= since_ns]
-            self._book.records = [r for r in self._book.records if r.frame.stamp_ns < since_ns]
-            if self.window.keyframes[-1].nav.stamp_ns >= since_ns:
-                self.window.solved = None  # it has seen the zoom: what it places is placed wrongly
+            zoomed = self._book.take_since(since_ns)
+            self.window.forget_solution_since(since_ns)  # it has seen the zoom: what it places is placed wrongly
             self._restart()
             for record in zoomed:
-                self._refuse_record(record, Status.ZOOMED)
+                self._refuse(record.frame, Status.ZOOMED, record)
         stands = self.zoom.stands(stamp_ns)
         if stands is not None:
             self._restart()
             self.window.change_lens(*stands)
             self._lens_doubt.is_open = False
             self.camera = self.window.camera
-            self.mount_selection.camera = self.camera
 
     def _take_tracks(self, frame: Frame, nav: NavState, tracks: Tracks, is_slow: bool) -> None:
         """A tracked picture becomes a keyframe, is placed now or later, or has too few tracks for either."""
@@ -298,7 +295,7 @@ class Pipeline:
         if len(tracks) < MIN_TRACKS:
             return tracks
         if was is not None and plane is not None:
-            self.mount_selection.weigh(was, nav, plane, tracks.keyframe_uv_px, tracks.uv_px)
+            self.mount_selection.weigh(self.camera, was, nav, plane, tracks.keyframe_uv_px, tracks.uv_px)
         if predicted is not None:
             miss = middle(np.linalg.norm(move(predicted, tracks.keyframe_uv_px) - tracks.uv_px, axis=1))
             if miss > MAX_PREDICTION_MISS * self.camera.focal_px:
@@ -330,7 +327,7 @@ class Pipeline:
             ids, uv = self.tracker.promote(tracks)
         self._followed = nav
         self._stillness.begin(ids, uv, frame.stamp_ns)
-        look_up_again(self.window, self.navigation)
+        self.window.look_up_again(self.navigation)
         seen = observation(self.window.camera, ids, uv, moving_at(self.window, self.navigation, nav))
         moment_ns, displacement = self._moment_ns(frame.stamp_ns), None
         if self.window.keyframes:
@@ -379,7 +376,7 @@ class Pipeline:
         elif status is Status.FEATURELESS:
             status = self._why_without_depth(record)
         if record.status is not Status.OK:
-            self._refuse_record(record, pending.reason or status)
+            self._refuse(record.frame, pending.reason or status, record)
 
     def _restart(self) -> None:
         """Begin again: what the window could place is settled first."""
@@ -405,7 +402,7 @@ class Pipeline:
         solved = self.window.solved
         for record in records:
             if not record.is_settled and (solved is not None or record.revision < 0):
-                record.is_settled = True
+                record.settle()
                 if solved is None or not self.placing.is_needless(solved, record):
                     self._place(record)
 
@@ -414,10 +411,9 @@ class Pipeline:
         with self._statistics.timed("georeference"):
             result = self._feature_set(record)
         if isinstance(result, FeatureSet):
-            record.status, record.revision = Status.OK, result.revision
-            self._add(result)
+            self._add(result, record)
         elif record.revision < 0 and (self._pending is None or self._pending.record is not record):
-            self._refuse_record(record, result)
+            self._refuse(record.frame, result, record)
 
     def _feature_set(self, record: Record) -> FeatureSet | Status:
         """The picture's set by the window's own points, else over a known ground; otherwise the reason for none."""
@@ -431,7 +427,7 @@ class Pipeline:
         if solved is None:
             result = self._why_unsolved(nav)
         else:
-            record.seen = seen_with(solved.camera, record.seen, solved.readout_s)
+            record.see_with(solved.camera, solved.readout_s)
             result = self.placing.place(self.window, solved, record, picture)
         if result is Status.FEATURELESS:
             result = self._why_without_depth(record)
@@ -468,16 +464,15 @@ class Pipeline:
         is_still = lasted_s > STANDING_S and travelled_m < STANDING_PER_S * height_m * lasted_s
         return Status.LOW_PARALLAX if is_still else self._unsolved
 
-    def _refuse_record(self, record: Record, status: Status) -> None:
-        record.status = status
-        record.revision += 1
-        self._refuse(record.frame, status, record.revision, record.is_keyframe)
-
-    def _refuse(self, frame: Frame, status: Status, revision: int = 0, is_keyframe: bool = False) -> None:
+    def _refuse(self, frame: Frame, status: Status, record: Record | None = None) -> None:
+        """Refuse a picture, by its record's next revision if it has one."""
+        revision, is_keyframe = (0, False) if record is None else (record.revision + 1, record.is_keyframe)
         assert self.session is not None
         identity = self.config.vehicle.id, self.session, frame.index, frame.stamp_ns
-        self._add(FeatureSet(*identity, status, self.camera, revision, is_keyframe))
+        self._add(FeatureSet(*identity, status, self.camera, revision, is_keyframe), record)
 
-    def _add(self, feature_set: FeatureSet) -> None:
+    def _add(self, feature_set: FeatureSet, record: Record | None) -> None:
+        if record is not None:
+            record.answer(feature_set)
         self._statistics.note(feature_set.frame, feature_set.status)
         self._sets.append(feature_set)

@@ -43,7 +43,7 @@ class Placing:
         placed = place(window, solved, record.seen, picture, guess, record.nav, start, ground_range)
         if isinstance(placed, Status):
             return placed
-        record.placed = placed
+        record.remember(placed)
         for watch in self.watches:
             watch(placed)
         if self._newest is None or record.nav.stamp_ns >= self._newest.nav.stamp_ns:

@@ -13,9 +13,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-from contract.feature_set import Status
+from contract.camera import Camera
+from contract.feature_set import FeatureSet, Status
 from onboard.config.schema import Config
-from onboard.estimation.keyframe import Observation
+from onboard.estimation.keyframe import Observation, seen_with
 from onboard.estimation.solver_executor import Promise
 from onboard.events.types import Frame
 from onboard.georeferencing.feature_sets import Placed
@@ -26,7 +27,7 @@ PLACED_A_SET = 4.0  # pictures placed for each set that the link may send: what 
 
 @dataclass(eq=False)
 class Record:
-    """A picture that the window can still place, or place better."""
+    """A picture that the window can still place, or place better. It is changed by its own methods alone."""
 
     frame: Frame
     look: Callable[[], Observation]
@@ -42,6 +43,26 @@ class Record:
     def seen(self) -> Observation:
         """The picture's observations: undistorted when it is placed, and again by a newer calibration."""
         return self.look()
+
+    def see_with(self, camera: Camera, readout_s: float) -> None:
+        """Undistort the observations again, by a newer calibration and readout."""
+        self.seen = seen_with(camera, self.seen, readout_s)
+
+    def remember(self, placed: Placed) -> None:
+        """Remember where the picture was placed, for its next revision."""
+        self.placed = placed
+
+    def answer(self, feature_set: FeatureSet) -> None:
+        """Take the picture's newest set, or its refusal."""
+        self.status, self.revision = feature_set.status, feature_set.revision
+
+    def settle(self) -> None:
+        """Keep the next placing, if it needs one, as the last."""
+        self.is_settled = True
+
+    def change_mount(self, nav: NavState) -> None:
+        """Take another mount's attitude: the picture is to be placed afresh."""
+        self.nav, self.placed, self.is_settled = nav, None, False
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +102,12 @@ class RecordBook:
         self.records = self.records[len(taken) :]
         self.settling.clear()
         self.unplaced.clear()
+        return taken
+
+    def take_since(self, stamp_ns: int) -> list[Record]:
+        """The records of pictures taken then or later, which leave the book."""
+        taken = [r for r in self.records if r.frame.stamp_ns >= stamp_ns]
+        self.records = [r for r in self.records if r.frame.stamp_ns < stamp_ns]
         return taken
 
     def may_wait(self, stamp_ns: int, has_newer: bool) -> bool:

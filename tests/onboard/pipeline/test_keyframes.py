@@ -18,7 +18,7 @@ from onboard.estimation.sliding_window import Window
 from onboard.estimation.window_solver import adjust
 from onboard.events.types import Attitude
 from onboard.navigation.navigator import NavState
-from onboard.pipeline.keyframes import look_up_again, profile_of
+from onboard.pipeline.keyframes import profile_of
 from onboard.pipeline.pipeline import Pipeline
 from simulation.paths import PathSpec
 
@@ -55,7 +55,7 @@ def test_attitude_rate_position_and_distance_are_those_of_the_new_offset() -> No
     before = list(window.keyframes)
     assert len(before) >= 4
     find(window, -0.1)
-    look_up_again(window, navigation)
+    window.look_up_again(navigation)
     _, delay_s = window.times_s()
     for k, (old, new) in enumerate(zip(before, window.keyframes, strict=True)):
         nav = navigation.state_at(old.nav.stamp_ns, -0.1, 0.0, delay_s)
@@ -100,13 +100,13 @@ def test_nothing_is_touched_where_nothing_changed_or_navigation_is_gone() -> Non
     window = pipeline.window
     now_s = window.keyframes[-1].nav_offset_s
     find(window, now_s + 0.002)
-    look_up_again(window, pipeline.navigation)
+    window.look_up_again(pipeline.navigation)
     before = list(window.keyframes)
-    look_up_again(window, pipeline.navigation)
+    window.look_up_again(pipeline.navigation)
     assert alike(window.keyframes, before)
     find(window, now_s - 0.2)
     pipeline.navigation._forget()
-    look_up_again(window, pipeline.navigation)
+    window.look_up_again(pipeline.navigation)
     assert alike(window.keyframes, before)
 
 

@@ -55,7 +55,7 @@ def pictures(
 ) -> tuple[MountSelection, int | None]:
     """A selection after `count` pictures at 5 Hz against a keyframe a second; and at which picture it decided."""
     rng = np.random.default_rng(3)
-    mount_selection = MountSelection(CAMERA, DOWN)
+    mount_selection = MountSelection(DOWN)
     decided = None
     was: NavState | None = None
     for k in range(count):
@@ -76,7 +76,8 @@ def pictures(
         height = HEIGHT_M * rng.uniform(0.97, 1.03, len(uv))  # ground roughness
         points = was.position_enu_m - rays_enu * (height / rays_enu[:, 2])[:, None]
         to, seen = CAMERA.project((points - now.position_enu_m) @ R_now.T)
-        mount_selection.weigh(was, now, np.zeros(3), uv[seen], to[seen] + rng.normal(0.0, 0.3, (int(seen.sum()), 2)))
+        to_px = to[seen] + rng.normal(0.0, 0.3, (int(seen.sum()), 2))
+        mount_selection.weigh(CAMERA, was, now, np.zeros(3), uv[seen], to_px)
         if mount_selection.verdict is not None and decided is None:
             decided = k
     return mount_selection, decided
@@ -109,7 +110,7 @@ def test_readings_that_look_alike_are_not_told_apart_and_need_not_be() -> None:
 
 def test_it_is_open_only_while_readings_differ_and_none_is_found() -> None:
     down = matrix_from_euler(0.0, -np.pi / 2, 0.0)
-    mount_selection = MountSelection(CAMERA, DOWN)
+    mount_selection = MountSelection(DOWN)
     assert mount_selection.is_open(state(1.0, 0.2, down))
     assert not mount_selection.is_open(replace(state(1.0, 0.2, down), mount_hypotheses={}))
     decided, _ = pictures(MountHypothesis.MOUNT, "forward", 60)
