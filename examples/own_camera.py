@@ -1,6 +1,6 @@
 """A camera of your own for `camera.device = "exec:python3 own_camera.py"`: replace `capture` by your SDK's call.
 
-Python's standard library alone; docs/camera.md describes every field. Standard output is for frames only: print what
+The standard library alone; docs/own-camera.md describes every field. Standard output is for frames only: print what
 people should read to standard error, whose last line `pc-onboard status` shows if the program ends.
 """
 

@@ -122,7 +122,7 @@ def _add_replay(commands: Commands) -> None:
         "--telemetry",
         type=Path,
         metavar="LOG|exif",
-        help="a log: .tlog, ArduPilot .bin, PX4 .ulg, DJI .srt, .csv (docs/telemetry.md); exif: from the pictures",
+        help="a log: .tlog, ArduPilot .bin, PX4 .ulg, DJI .srt, .csv (docs/logs.md); exif: from the pictures",
     )
     replay.add_argument(
         "--home-amsl-m",

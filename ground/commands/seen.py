@@ -1,4 +1,4 @@
-"""`pc-ground seen`: which ground was seen, when, how often and how finely; and what was not. docs/ground.md."""
+"""`pc-ground seen`: which ground was seen, when, how often and how finely; and what was not. docs/seen.md."""
 
 from __future__ import annotations
 

@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
     """Both programs until a signal ends them, or the aircraft's ends. Raises PointclickError."""
     check_installed()
     if not args.camera_file.is_file():
-        raise InputError(f"{args.camera_file}: no such file; pc-onboard calibrate makes one (docs/camera.md)")
+        raise InputError(f"{args.camera_file}: no such file; pc-onboard calibrate makes one (docs/calibrate.md)")
     folder = args.state or default_path().parent / "live"
     port = _unused_port()
     config = _write_config(args, folder, port)

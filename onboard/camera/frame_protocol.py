@@ -1,4 +1,4 @@
-"""Frames in a pipe: what a helper program writes and the daemon reads. docs/camera.md has it as a table.
+"""Frames in a pipe: what a helper program writes and the daemon reads. docs/own-camera.md has it as a table.
 
 A frame is a header of 128 bytes, the luma, and a trailer of 8 bytes; all numbers little-endian. The header has a
 checksum and the trailer repeats the sequence number, so that a reader finds the next frame after whatever is none, and

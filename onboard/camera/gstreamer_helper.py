@@ -2,7 +2,7 @@
 
 A program of its own, run as a script by the system's Python (`/usr/bin/python3 -I`), which has GStreamer's bindings:
 nothing of this project is imported. What to open comes as JSON on standard input; frames go to standard output as
-docs/camera.md describes them. It ends with 2 for what no other attempt can mend, else with 1 and one line of why.
+docs/own-camera.md describes them. It ends with 2 for what no other attempt can mend, else with 1 and one line of why.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ PACKAGES = {
     "gstreamer1.0-plugins-good": ("rtsp", "rtp", "udpsrc", "v4l2", "jpegdec", "matroskademux", "qtdemux"),
 }  # fmt: skip
 
-# The numbers of docs/camera.md.
+# The numbers of docs/own-camera.md.
 HEADER = struct.Struct("<4sHHIII4sIIqqQBBBB4f4f32x")
 MONOTONIC, SENDER, SENDER_UTC = 0, 1, 2
 UNKNOWN, FIRST_ROW_END = 0, 2

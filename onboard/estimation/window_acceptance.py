@@ -34,7 +34,7 @@ MAX_PRIOR_SIGMAS = 3.5  # root mean square of a sensor's whitened residuals that
 MAX_GROUND_SLOPE = 1.0
 MIN_AHEAD = 0.9  # of the measurements: of points below the camera and in front of it
 MIN_DEPTH_SHARE = 0.05  # of the median depth: a point nearer than this is as good as behind the camera
-# Slow error of a velocity that no residual of the window uses: recorded autopilots in turns (docs/telemetry.md).
+# Slow error of a velocity that no residual of the window uses: recorded autopilots in turns.
 CORRELATED_VELOCITY_M_S = 1.5
 # Chi-square with 7 degrees of freedom exceeds this once in 1e5 comparisons.
 MAX_AGREEMENT = 35.0

@@ -1,4 +1,4 @@
-"""Telemetry as a table (CSV), for everything that has no reader of its own. The columns are in docs/telemetry.md."""
+"""Telemetry as a table (CSV), for everything that has no reader of its own. The columns are in docs/logs.md."""
 
 from __future__ import annotations
 

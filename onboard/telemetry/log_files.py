@@ -12,7 +12,7 @@ from onboard.telemetry.telemetry_log import TelemetryLog
 from onboard.telemetry.tlog_reader import read_tlog
 
 HEAD_BYTES = 4096
-KINDS = "MAVLink .tlog, ArduPilot DataFlash .bin, PX4 .ulg, DJI .srt, or .csv (docs/telemetry.md)"
+KINDS = "MAVLink .tlog, ArduPilot DataFlash .bin, PX4 .ulg, DJI .srt, or .csv (docs/logs.md)"
 # Files that people take for a log are known by how they begin; each has a text on what to do.
 FOREIGN = (
     (b"FMT, 128", "a DataFlash log as text (.log): give the .bin that the autopilot wrote"),
