@@ -1,4 +1,4 @@
-"""The pictures of docs/web.md: `python -m tests.web.screenshots` flies, marks four things, and photographs the page."""
+"""The pictures in docs of the page: `python -m tests.web.screenshots` flies, marks four things, and photographs the page."""
 
 from __future__ import annotations
 
