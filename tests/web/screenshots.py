@@ -1,4 +1,4 @@
-"""The pictures in docs of the page: `python -m tests.web.screenshots` flies, marks four things, and photographs the page."""
+"""The pictures of the page in docs: `python -m tests.web.screenshots` flies, marks four things, and takes them."""
 
 from __future__ import annotations
 
