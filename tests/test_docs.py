@@ -25,8 +25,6 @@ NAMED_IN_CODE = re.compile(r"\bdocs/[a-z][\w-]*\.md\b")
 MOST_WORDS = 1500
 REFERENCE = re.compile(r"(wire-format|mathematics.*|glossary|architecture|licences)\.md")
 """Pages in which one looks something up: they may be of any length."""
-NOT_YET_SPLIT = {"error-analysis": 2688}
-"""The words of pages that are still too long. A limit may go down, never up; who splits one takes it out."""
 
 
 def prose(text: str) -> list[str]:
@@ -87,10 +85,8 @@ def test_a_page_is_read_in_a_few_minutes() -> None:
     counts = {
         page.stem: len(prose(page.read_text(encoding="utf-8"))) for page in PAGES if not REFERENCE.match(page.name)
     }
-    long = [f"{name}: {n} words" for name, n in counts.items() if n > NOT_YET_SPLIT.get(name, MOST_WORDS)]
+    long = [f"{name}: {n} words" for name, n in counts.items() if n > MOST_WORDS]
     assert not long, "\n".join(long)
-    split = [name for name in NOT_YET_SPLIT if counts[name] <= MOST_WORDS]
-    assert not split, f"short enough, so no longer an exception: {split}"
 
 
 def test_tables_code_and_captions_are_no_prose() -> None:
