@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from onboard.camera.buffer_decoder import Pictures
+from onboard.camera.picture_decoder import Pictures
 from onboard.config.schema import CameraConfig
 from onboard.events.source import SourceStatus, State
 

@@ -12,13 +12,11 @@ from typing import Literal
 from contract.camera import Camera
 from contract.errors import ConfigError
 from contract.tied_process import NOT_THERE
-from onboard.camera import v4l2_structures as v4l2
-from onboard.camera.buffer_decoder import Pictures
 from onboard.camera.camera_health import figures, patience_s, stopped
 from onboard.camera.frame_protocol import FrameReader, GimbalFrame, Header, Origin, middle_ns
 from onboard.camera.helper_process import HelperProcess
+from onboard.camera.picture_decoder import Pictures, RawPicture
 from onboard.camera.sender_clock import SenderClock
-from onboard.camera.v4l2_device import Buffer, Granted
 from onboard.config.schema import NOT_THERMAL, CameraConfig, ThermalConfig
 from onboard.events.session_clock import SessionClock
 from onboard.events.source import Emit, SourceStatus, State, Stop
@@ -201,11 +199,11 @@ class HelperCamera:
             self._unusable_in_a_row += not self._stamps.is_settling
             return
         stamp_ns = timed + middle_ns(header, abs(self._config.readout_s))
-        is_bad = header.is_damaged or stream.size_px != self._camera.size_px
-        flags = v4l2.BUF_FLAG_TIMESTAMP_MONOTONIC | (v4l2.BUF_FLAG_ERROR if is_bad else 0)
-        buffer = Buffer(luma, stamp_ns, header.sequence % 2**32, flags, False)
-        form = Granted(header.fourcc, header.width_px, header.height_px, header.line_bytes, True)
-        frame = self._pictures.take(buffer, form, now_ns, False)
+        raw = RawPicture(
+            luma, header.fourcc, stream.size_px, header.line_bytes, stamp_ns, header.sequence,
+            is_damaged=header.is_damaged,
+        )  # fmt: skip
+        frame = self._pictures.take(raw, now_ns)
         self._unusable_in_a_row = self._unusable_in_a_row + 1 if frame is None else 0
         if frame is not None:
             arrival_ns = self._clock.from_monotonic_ns(now_ns)

@@ -9,13 +9,14 @@ from dataclasses import dataclass
 
 from contract.camera import Camera
 from contract.errors import ConfigError
-from onboard.camera.buffer_decoder import Pictures
+from onboard.camera import v4l2_structures as v4l2
 from onboard.camera.camera_health import figures, patience_s, stopped
 from onboard.camera.control_lock import Lock, Wanted
 from onboard.camera.discovery import Identity, candidates, identity, same_camera
 from onboard.camera.format_negotiation import ENOUGH, choose_format
+from onboard.camera.picture_decoder import Pictures, RawPicture
 from onboard.camera.pixel_formats import DEEP
-from onboard.camera.v4l2_device import Device, Granted, V4l2Device
+from onboard.camera.v4l2_device import Buffer, Device, Granted, V4l2Device
 from onboard.config.schema import NOT_THERMAL, CameraConfig, ThermalConfig
 from onboard.events.session_clock import SessionClock
 from onboard.events.source import Emit, SourceStatus, State, Stop
@@ -54,6 +55,7 @@ class _Stream:
     lock: Lock
     complaints: list[str]
     has_picture: bool = False
+    stamped_at: str = ""  # the moment of the newest picture that its driver stamped: its start or its end
 
 
 class V4l2Camera:
@@ -130,7 +132,9 @@ class V4l2Camera:
             stream.has_picture = True
             self._has_failed = self._sends_nothing = False
         self._last_ns = now_ns
-        frame = self._pictures.take(buffer, stream.format, now_ns, was_starved)
+        is_at_start = buffer.flags & v4l2.BUF_FLAG_TSTAMP_SRC_MASK == v4l2.BUF_FLAG_TSTAMP_SRC_SOE
+        stream.stamped_at = "start" if is_at_start else "end"
+        frame = self._pictures.take(_raw_picture(buffer, stream.format, was_starved), now_ns)
         if frame is not None:
             arrival_ns = self._clock.from_monotonic_ns(now_ns)
             emit(arrival_ns, frame)
@@ -238,11 +242,22 @@ class V4l2Camera:
             return at_rest
         what = (
             f"{stream.path}: {stream.format.width_px}x{stream.format.height_px} {stream.format.fourcc}, "
-            f"stamped at its {self._pictures.stamped_at}"
+            f"stamped at its {stream.stamped_at}"
         )
         what += f"; {self._thermal.words}" if self._thermal.enabled else ""
         complaints = stream.complaints + self._pictures.complaints()
         return SourceStatus(State.DEGRADED if complaints else State.OK, "; ".join(complaints) or what, shown)
+
+
+def _raw_picture(buffer: Buffer, format_: Granted, was_starved: bool) -> RawPicture:
+    """The picture in a driver's buffer; `was_starved`: it may have been in the queue for longer than is known."""
+    return RawPicture(
+        buffer.data, format_.fourcc, (format_.width_px, format_.height_px), format_.bytes_per_line,
+        buffer.stamp_ns, buffer.sequence,
+        is_monotonic=buffer.flags & v4l2.BUF_FLAG_TIMESTAMP_MASK == v4l2.BUF_FLAG_TIMESTAMP_MONOTONIC,
+        is_damaged=bool(buffer.flags & v4l2.BUF_FLAG_ERROR),
+        has_waited=was_starved or buffer.has_waited,
+    )  # fmt: skip
 
 
 def _words(error: OSError) -> str:

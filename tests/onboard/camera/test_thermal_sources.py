@@ -12,14 +12,13 @@ import pytest
 from PIL import Image
 
 from contract.camera import Camera
-from onboard.camera import v4l2_structures as v4l2
-from onboard.camera.buffer_decoder import Pictures
 from onboard.camera.factory import open_device
+from onboard.camera.picture_decoder import Pictures, RawPicture
 from onboard.camera.picture_files import open_frames
 from onboard.camera.playback import PlayedCamera
 from onboard.camera.thermal_grey import SMOOTHED_PX
 from onboard.camera.v4l2_camera import V4l2Camera
-from onboard.camera.v4l2_device import Buffer, Granted, Sizes
+from onboard.camera.v4l2_device import Sizes
 from onboard.config.schema import CameraConfig, ThermalConfig
 from onboard.events.source import State
 from onboard.events.types import Frame
@@ -93,8 +92,7 @@ def test_a_camera_that_is_no_thermal_one_has_no_counts() -> None:
 
 def offered(pictures: Pictures, number: int, data: bytes, fourcc: str) -> Frame:
     now_ns = 10**12 + number * 111 * MS
-    buffer = Buffer(bytearray(data), now_ns - MS, number, v4l2.BUF_FLAG_TIMESTAMP_MONOTONIC, False)
-    frame = pictures.take(buffer, Granted(fourcc, *SIZE_PX, 0, True), now_ns, False)
+    frame = pictures.take(RawPicture(bytearray(data), fourcc, SIZE_PX, 0, now_ns - MS, number), now_ns)
     assert frame is not None
     return frame
 

@@ -78,6 +78,25 @@ def test_stamps_are_the_drivers_on_the_sessions_clock_less_the_latency() -> None
         assert frame.image is not None and frame.image.shape == (48, 64)
 
 
+@pytest.mark.parametrize(
+    ("flags", "age_ns", "has_image", "words"),
+    [
+        (v4l2.BUF_FLAG_TIMESTAMP_MONOTONIC, 0, True, "GREY, stamped at its end"),
+        (v4l2.BUF_FLAG_TIMESTAMP_MONOTONIC | v4l2.BUF_FLAG_TSTAMP_SRC_SOE, 0, True, "GREY, stamped at its start"),
+        (v4l2.BUF_FLAG_TIMESTAMP_MONOTONIC | v4l2.BUF_FLAG_ERROR, 0, False, "pictures are damaged"),
+        (v4l2.BUF_FLAG_TIMESTAMP_UNKNOWN, -(10**17), True, "not of CLOCK_MONOTONIC"),
+        (v4l2.BUF_FLAG_TIMESTAMP_COPY, -(10**17), True, "not of CLOCK_MONOTONIC"),
+        (v4l2.BUF_FLAG_TIMESTAMP_COPY, 2_000_000, True, "GREY, stamped at its end"),
+    ],
+)
+def test_the_drivers_flags_state_what_its_stamps_and_pictures_are(
+    flags: int, age_ns: int, has_image: bool, words: str
+) -> None:
+    world = World(video0=Plugged(OURS, flags=flags, age_ns=age_ns))
+    assert words in at(run(live(world), world, 1.0), 0.9).detail
+    assert world.frames and all((frame.image is not None) == has_image for frame in world.frames)
+
+
 def gone(world: World) -> None:
     del world.sockets["/dev/video0"]
 

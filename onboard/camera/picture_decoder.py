@@ -1,4 +1,4 @@
-"""Frames from a driver's buffers: their times, which were lost, which are worth looking at. No device, no clock.
+"""Frames from raw pictures: their times, which were lost, which are worth looking at. No device, no pipe, no clock.
 
 A picture is passed on with no image when it is damaged, and when it repeats the one before to the last bit: a sensor's
 noise never does, so a repeat is an old picture under a new time stamp, the one thing that must not be georeferenced.
@@ -14,16 +14,14 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from onboard.camera import v4l2_structures as v4l2
 from onboard.camera.pixel_formats import Grey, to_grey, to_raw
 from onboard.camera.stamp_consistency import StampConsistency
 from onboard.camera.thermal_grey import ThermalCounts, ThermalGrey
-from onboard.camera.v4l2_device import Buffer, Granted
 from onboard.events.session_clock import SessionClock
 from onboard.events.types import Frame
 
 STALE_NS = 500_000_000
-"""A buffer older than this when it is taken waited in the queue while this process did not run: too old to be used."""
+"""A picture older than this when it is taken waited in the queue while this process did not run: too old to be used."""
 FUTURE_NS = 5_000_000
 """A stamp this far ahead of the clock is not the time of a picture that is already here."""
 RATE_WINDOW = 60
@@ -34,12 +32,27 @@ MOVING_QUANTILE = 0.8  # of changes: also where two pictures of three are repeat
 STILL_SHARE = 0.2  # of that: two encodings of a picture differ by 0.03 of it, at most 0.3 where a key frame begins
 
 
+@dataclass(frozen=True)
+class RawPicture:
+    """A picture as its source hands it on, not decoded yet: whichever way it came, out of a driver or of a pipe."""
+
+    data: bytearray
+    fourcc: str  # one of `pixel_formats.DECODERS`
+    size_px: tuple[int, int]
+    line_bytes: int  # from the beginning of one row to that of the next; 0: no padding
+    stamp_ns: int  # on CLOCK_MONOTONIC, if `is_monotonic`; else on a clock that is not known
+    sequence: int  # counts modulo 2**32
+    is_monotonic: bool = True
+    is_damaged: bool = False
+    has_waited: bool = False  # it was, or may have been, there before it was taken
+
+
 @dataclass
 class Counts:
     """Since the camera was first opened."""
 
     pictures: int = 0  # passed on, those without an image included
-    lost: int = 0  # gaps in the driver's numbers
+    lost: int = 0  # gaps in the source's numbers
     skipped: int = 0  # taken too late, or under a time that cannot be
     damaged: int = 0
     repeated: int = 0
@@ -47,7 +60,7 @@ class Counts:
 
 
 class Pictures:
-    """Judges the buffers of one camera; `restart` whenever its stream begins again."""
+    """Judges the pictures of one camera; `restart` whenever its stream begins again."""
 
     def __init__(
         self,
@@ -81,17 +94,16 @@ class Pictures:
         self._damaged_in_a_row = 0
         self._ahead_ns = 0
         self._uses_arrival = False
-        self._source = ""
         self._stale_in_a_row = 0
 
     def restart(self) -> None:
         """The stream begins again: numbers and repeats start at zero, counts and stamps continue."""
         self._begin()
 
-    def take(self, buffer: Buffer, format_: Granted, now_ns: int, has_waited: bool) -> Frame | None:
-        """A buffer, and CLOCK_MONOTONIC when it was taken -> a Frame, or None if it has no usable time."""
-        self._count_lost(buffer.sequence)
-        monotonic_ns = self._capture_time(buffer, now_ns, has_waited)
+    def take(self, raw: RawPicture, now_ns: int) -> Frame | None:
+        """A picture, and CLOCK_MONOTONIC when it was taken over -> a Frame, or None if it has no usable time."""
+        self._count_lost(raw.sequence)
+        monotonic_ns = self._capture_time(raw, now_ns)
         if monotonic_ns is None:
             self.counts.skipped += 1
             return None
@@ -102,7 +114,7 @@ class Pictures:
         self._last_stamp_ns = stamp_ns
         self.delay_ms = (self._clock.from_monotonic_ns(now_ns) - stamp_ns) / 1e6
         self._stamps_ns.append(stamp_ns)
-        decoded, counts = (None, None) if buffer.flags & v4l2.BUF_FLAG_ERROR else self._decoded(buffer, format_)
+        decoded, counts = self._decoded(raw)
         image = decoded if self._is_fresh(decoded if counts is None else counts, now_ns) else None
         sigma_s = self._consistency.sigma_s(now_ns, now_ns - monotonic_ns)
         frame = Frame(
@@ -115,39 +127,38 @@ class Pictures:
         self.counts.pictures += 1
         return frame
 
-    def _decoded(self, buffer: Buffer, format_: Granted) -> tuple[Grey | None, ThermalCounts | None]:
-        """The picture, and of a thermal camera its counts."""
-        how = format_.fourcc, buffer.data, self._size_px, format_.bytes_per_line
+    def _decoded(self, raw: RawPicture) -> tuple[Grey | None, ThermalCounts | None]:
+        """The picture, and of a thermal camera its counts; None if it is damaged, or not of the camera file's size."""
+        if raw.is_damaged or raw.size_px != self._size_px:
+            return None, None
+        how = raw.fourcc, raw.data, raw.size_px, raw.line_bytes
         if self._thermal is None:
             return to_grey(*how), None
-        raw = to_raw(*how)
-        return (None, None) if raw is None else self._thermal.picture(raw)
+        deep = to_raw(*how)
+        return (None, None) if deep is None else self._thermal.picture(deep)
 
     def _count_lost(self, sequence: int) -> None:
         if self._sequence is not None:
             step = (sequence - self._sequence) % 2**32
             self._is_numbered = step != 0
-            if 0 < step < 2**31:  # else the driver has begun to count again
+            if 0 < step < 2**31:  # else the source has begun to count again
                 self.counts.lost += step - 1
         self._sequence = sequence
 
-    def _capture_time(self, buffer: Buffer, now_ns: int, has_waited: bool) -> int | None:
-        """CLOCK_MONOTONIC of the exposure as the driver has it, of the arrival if need be, None if neither is."""
-        age_ns = now_ns - buffer.stamp_ns
-        is_plausible = -FUTURE_NS <= age_ns <= self._stale_ns
-        is_at_start = buffer.flags & v4l2.BUF_FLAG_TSTAMP_SRC_MASK == v4l2.BUF_FLAG_TSTAMP_SRC_SOE
-        self._source = "start" if is_at_start else "end"
-        if buffer.flags & v4l2.BUF_FLAG_TIMESTAMP_MASK == v4l2.BUF_FLAG_TIMESTAMP_MONOTONIC:
+    def _capture_time(self, raw: RawPicture, now_ns: int) -> int | None:
+        """CLOCK_MONOTONIC of the exposure as the source has it, of the arrival if need be, None if neither is."""
+        age_ns = now_ns - raw.stamp_ns
+        if raw.is_monotonic:
             self._uses_arrival = False
             self._ahead_ns = max(-age_ns, 0) if age_ns < -FUTURE_NS else 0
             is_stale = age_ns > self._stale_ns
             self._stale_in_a_row = self._stale_in_a_row + 1 if is_stale else 0
-            return None if is_stale else buffer.stamp_ns
-        self._uses_arrival = not is_plausible
-        if is_plausible:
-            return buffer.stamp_ns
+            return None if is_stale else raw.stamp_ns
+        self._uses_arrival = not -FUTURE_NS <= age_ns <= self._stale_ns
+        if not self._uses_arrival:
+            return raw.stamp_ns
         # Not our clock. The arrival will do, unless the picture lay in the queue for we know not how long.
-        return None if has_waited or buffer.has_waited else now_ns
+        return None if raw.has_waited else now_ns
 
     def _is_fresh(self, image: Grey | ThermalCounts | None, now_ns: int) -> bool:
         """Return whether a picture, as the camera gave it, is neither damaged (None) nor a repeat; count it if so."""
@@ -187,11 +198,6 @@ class Pictures:
         stamps_ns = self._stamps_ns  # another thread may ask while `restart` replaces it
         count = len(stamps_ns)
         return (count - 1) * 1e9 / (stamps_ns[-1] - stamps_ns[0]) if count > 1 else 0.0
-
-    @property
-    def stamped_at(self) -> str:
-        """The moment that the driver stamps: the 'start' or the 'end' of the picture; '' before the first."""
-        return self._source
 
     def complaints(self) -> list[str]:
         """Return a line for each thing that is not as it should be."""
