@@ -127,8 +127,8 @@ install -D -m 644 "$checkout/config.toml" "$root/etc/pointclick/config.toml"
 install -d -m 755 "$root/etc/pointclick/config.d"
 install -D -m 644 "$checkout/systemd/70-pointclick.rules" "$doc/examples/70-pointclick.rules"
 install -D -m 644 "$checkout/examples/own_camera.py" "$doc/examples/own_camera.py"
-for page in service faults camera; do
-	[ ! -f "$checkout/docs/$page.md" ] || install -D -m 644 "$checkout/docs/$page.md" "$doc/$page.md"
+for page in "$checkout"/docs/*.md; do  # each links to others
+	[ ! -f "$page" ] || install -D -m 644 "$page" "$doc/${page##*/}"
 done
 echo /etc/pointclick/config.toml > "$root/DEBIAN/conffiles"
 for script in postinst prerm postrm; do
