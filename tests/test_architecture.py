@@ -31,8 +31,9 @@ ARROWS: dict[str, set[str]] = {
     "ground.web": {"ground", "ground.pins", "ground.formats", "ground.seen", "ground.spots"},
     "onboard.events": set(),
     "onboard.config": set(),
-    "onboard.camera": {"events", "config", "telemetry"},
-    "onboard.telemetry": {"events", "config"},
+    "onboard.clocks": set(),
+    "onboard.camera": {"events", "config", "clocks"},
+    "onboard.telemetry": {"events", "config", "clocks"},
     "onboard.navigation": {"events", "config"},
     "onboard.geometry": set(),
     "onboard.vision": {"geometry"},
@@ -41,7 +42,7 @@ ARROWS: dict[str, set[str]] = {
     "onboard.pipeline": {"georeferencing", "estimation", "vision", "geometry", "navigation", "events", "config"},
     "onboard.tracks": {"geometry", "events"},
     "onboard.spots": {"events", "config"},
-    "onboard.clock": {"vision", "geometry", "navigation", "telemetry", "events", "config"},
+    "onboard.foreign_clock": {"vision", "geometry", "navigation", "telemetry", "events", "config"},
     "onboard.link": {"events", "config"},
     "onboard.storage": {"events", "config", "estimation", "geometry"},
     "onboard.replay": {
@@ -50,8 +51,8 @@ ARROWS: dict[str, set[str]] = {
     "onboard.service": {"pipeline", "tracks", "spots", "storage", "events", "config"},
     "onboard.calibration": set(),
     "onboard.commands": {
-        "calibration", "camera", "clock", "config", "events", "link", "pipeline", "replay", "service", "storage",
-        "telemetry",
+        "calibration", "camera", "config", "events", "foreign_clock", "link", "pipeline", "replay", "service",
+        "storage", "telemetry",
     },
     "onboard": {"commands", "config", "link"},  # __main__: arguments and exit codes
     "simulation": set(),

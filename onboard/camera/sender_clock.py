@@ -10,8 +10,8 @@ from __future__ import annotations
 import math
 
 from onboard.camera.frame_protocol import Clock, Header, Origin
+from onboard.clocks.arrivals import Arrivals
 from onboard.events.session_clock import SessionClock
-from onboard.telemetry.arrivals import Arrivals
 
 FUTURE_NS = 5_000_000  # a picture that is here was not taken later than that
 MAX_AGE_NS = 5_000_000_000  # no one flies with pictures that old: no stamp of this clock

@@ -17,12 +17,12 @@ from PIL import Image
 from contract.camera import Camera
 from contract.errors import InputError
 from onboard.camera.pixel_formats import UNDECODABLE
-from onboard.clock.clock_search import REACH_S, Clock, Evidence, Stated, Unknown, search
-from onboard.clock.log_track import log_track
-from onboard.clock.motion_cost import MotionNoise
-from onboard.clock.picture_pairs import chosen_pairs, measure
 from onboard.commands.imported_flight import Row
 from onboard.config.schema import Config
+from onboard.foreign_clock.clock_search import REACH_S, Clock, Evidence, Stated, Unknown, search
+from onboard.foreign_clock.log_track import log_track
+from onboard.foreign_clock.motion_cost import MotionNoise
+from onboard.foreign_clock.picture_pairs import chosen_pairs, measure
 from onboard.replay.runner import check_overlap
 from onboard.telemetry.telemetry_log import NS_PER_S, TelemetryLog
 

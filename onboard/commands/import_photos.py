@@ -18,7 +18,6 @@ from onboard.camera.file_stamps import read_stamps, spread_within_seconds, stamp
 from onboard.camera.photo_metadata import Focal, PhotoMetadata, read_photo
 from onboard.camera.picture_files import PICTURE_SUFFIXES
 from onboard.camera.rig_bands import one_band
-from onboard.clock.clock_search import Stated
 from onboard.commands.camera_clock import clock_of, clock_row, photographs
 from onboard.commands.flight_folder import LOG_SUFFIXES, log_of, next_to, picture_folder
 from onboard.commands.imported_flight import (
@@ -38,6 +37,7 @@ from onboard.commands.imported_flight import (
     system_of,
 )
 from onboard.config.schema import parse_config
+from onboard.foreign_clock.clock_search import Stated
 from onboard.replay.photo_telemetry import datum_sigma_m, gap_to_join_s, height_amsl, photo_telemetry, side_lacking
 from onboard.replay.runner import check_overlap
 from onboard.telemetry.log_files import read_log

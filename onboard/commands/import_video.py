@@ -16,7 +16,6 @@ from onboard.camera.file_stamps import stamp_from_name
 from onboard.camera.photo_lens import FULL_FRAME_DIAGONAL_MM
 from onboard.camera.photo_metadata import Focal
 from onboard.camera.video_times import creation_ns, frame_times_s, rate_text
-from onboard.clock.clock_search import Stated
 from onboard.commands.camera_clock import clock_of, clock_row, frames
 from onboard.commands.flight_folder import LOG_SUFFIXES, log_in_folder
 from onboard.commands.imported_flight import (
@@ -30,6 +29,7 @@ from onboard.commands.imported_flight import (
     system_of,
 )
 from onboard.config.schema import parse_config
+from onboard.foreign_clock.clock_search import Stated
 from onboard.replay.runner import check_overlap
 from onboard.telemetry.log_files import read_log
 from onboard.telemetry.telemetry_log import NS_PER_S, TelemetryLog

@@ -3,7 +3,6 @@ themselves.
 
 Public:
 
-- `arrivals`: `Arrivals`
 - `autopilot_search`: `FoundAutopilot`, `candidates`, `is_slow`, `listen`
 - `factory`: `open_telemetry`
 - `log_files`: `looks_like_log`, `read_log`

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from pymavlink import DFReader
 
 from contract.errors import InputError
+from onboard.clocks.boot_clock import Mode
 from onboard.events.types import Attitude, FilterStatus, GimbalAttitude, GpsQuality, NavEvent, PositionFix, RangeFinder
-from onboard.telemetry.boot_clock import Mode
 from onboard.telemetry.gps_time import LAG_S, GpsClock, receiver_lag_s, unix_ns_of_gps
 from onboard.telemetry.mavlink_events import FROZEN_GPS_NS, sensor_direction
 from onboard.telemetry.telemetry_log import TelemetryLog, quaternions

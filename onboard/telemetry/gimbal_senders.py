@@ -13,10 +13,10 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from onboard.clocks.boot_clock import Mode
+from onboard.clocks.timesync import LinkClock
 from onboard.events.types import GimbalAttitude, Zoom
-from onboard.telemetry.boot_clock import Mode
 from onboard.telemetry.mavlink_events import AUTOPILOT_COMPONENT, GIMBAL_EVENTS, ZOOM_EVENTS, boot_ns_of
-from onboard.telemetry.timesync import LinkClock
 
 GIMBAL_COMPONENTS = frozenset(
     [mavlink.MAV_COMP_ID_GIMBAL, *(getattr(mavlink, f"MAV_COMP_ID_GIMBAL{i}") for i in range(2, 7))]

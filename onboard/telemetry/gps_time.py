@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.telemetry.boot_clock import BootClock, Mode
+from onboard.clocks.boot_clock import BootClock, Mode
 
 Array = NDArray[np.float64]
 

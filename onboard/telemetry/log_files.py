@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from contract.errors import InputError
+from onboard.clocks.boot_clock import Mode
 from onboard.telemetry import csv_reader, dataflash_reader, srt_reader, ulog_reader
-from onboard.telemetry.boot_clock import Mode
 from onboard.telemetry.srt_axis_order import Order
 from onboard.telemetry.telemetry_log import TelemetryLog
 from onboard.telemetry.tlog_reader import read_tlog

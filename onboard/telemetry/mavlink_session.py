@@ -10,13 +10,13 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from onboard.clocks.timesync import SELDOM_NS, LinkClock
 from onboard.config.schema import Config
 from onboard.events.source import Severity, SourceStatus, State
 from onboard.events.types import GimbalAttitude, NavEvent, PositionFix
 from onboard.telemetry.gimbal_senders import Gimbals, is_of_payload
 from onboard.telemetry.mavlink_events import AUTOPILOT_COMPONENT, MessageToEvent, Sources, boot_ns_of
 from onboard.telemetry.message_rates import RateRequests
-from onboard.telemetry.timesync import SELDOM_NS, LinkClock
 from onboard.telemetry.vehicle_choice import VehicleChoice, is_autopilot
 
 NS_PER_S = 1_000_000_000

@@ -18,11 +18,11 @@ from mavsdk import ComponentType, Configuration, Mavsdk, log_subscribe
 from mavsdk.plugins.mavlink_direct import MavlinkDirect, MavlinkDirectError, MavlinkMessage
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from onboard.clocks.timesync import SELDOM_NS
 from onboard.config.schema import Config
 from onboard.events.session_clock import SessionClock
 from onboard.telemetry.mavlink_events import WANTED
 from onboard.telemetry.mavlink_framing import Framer
-from onboard.telemetry.timesync import SELDOM_NS
 from onboard.telemetry.transports import Wire
 from onboard.telemetry.vehicle_choice import is_autopilot
 

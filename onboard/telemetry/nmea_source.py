@@ -19,11 +19,11 @@ from typing import Any
 
 from pynmeagps import NMEAMessageError, NMEAParseError, NMEAReader, NMEAStreamError, NMEATypeError
 
+from onboard.clocks.boot_clock import BootClock
 from onboard.config.schema import Config
 from onboard.events.session_clock import SessionClock
 from onboard.events.source import Emit, Severity, SourceStatus, State, Stop
 from onboard.events.types import GpsQuality, NavEvent, PositionFix
-from onboard.telemetry.boot_clock import BootClock
 from onboard.telemetry.transports import Address, Wire
 
 NS_PER_S = 1_000_000_000

@@ -19,8 +19,8 @@ import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from contract.errors import InputError
+from onboard.clocks.boot_clock import BootClock, Mode
 from onboard.events.types import NavEvent, PositionFix
-from onboard.telemetry.boot_clock import BootClock, Mode
 from onboard.telemetry.gimbal_senders import PAYLOADS, GimbalChoice
 from onboard.telemetry.mavlink_events import (
     AUTOPILOT_COMPONENT,

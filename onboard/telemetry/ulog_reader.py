@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from contract.errors import InputError
+from onboard.clocks.boot_clock import Mode
 from onboard.events.types import Attitude, FilterStatus, GimbalAttitude, GpsQuality, NavEvent, PositionFix, RangeFinder
-from onboard.telemetry.boot_clock import Mode
 from onboard.telemetry.gps_time import GpsClock, receiver_lag_s
 from onboard.telemetry.mavlink_events import AT_REST, FROZEN_GPS_NS, GIMBAL_UNFIT, sensor_direction
 from onboard.telemetry.telemetry_log import TelemetryLog

@@ -122,7 +122,7 @@ def late_stamps(has_evidence: bool) -> Spoil:
     return spoil
 
 
-@pytest.mark.long  # the short ones are in tests/onboard/telemetry/test_clock_drift.py
+@pytest.mark.long  # the short ones are in tests/onboard/clocks/test_clock_drift.py
 def test_stamps_that_begin_to_be_late_are_carried_by_the_answers_and_are_over_when_over() -> None:
     flight = SpoiltFlight(FAST, 1, late_stamps(has_evidence=True))
     sets, pipeline = fly(flight)

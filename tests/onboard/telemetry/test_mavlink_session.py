@@ -7,11 +7,11 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from onboard.clocks.timesync import NS_PER_S
 from onboard.config.schema import parse_config
 from onboard.events.source import Severity, SourceStatus, State
 from onboard.telemetry.mavlink_session import Autopilot
-from onboard.telemetry.timesync import NS_PER_S
-from tests.onboard.telemetry.test_clock_drift import EPOCH, MS, Clocks
+from tests.onboard.clocks.test_clock_drift import EPOCH, MS, Clocks
 
 STEP_NS = 50 * MS
 PX4, ARDUPILOT = mavlink.MAV_AUTOPILOT_PX4, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA

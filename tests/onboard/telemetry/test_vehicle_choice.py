@@ -9,7 +9,7 @@ from onboard.config.schema import parse_config
 from onboard.events.source import SourceStatus, State
 from onboard.events.types import PositionFix
 from onboard.telemetry.mavlink_session import Autopilot
-from tests.onboard.telemetry.test_clock_drift import EPOCH, MS
+from tests.onboard.clocks.test_clock_drift import EPOCH, MS
 
 STEP_NS = 100 * MS
 OURS, OTHER = 1, 7

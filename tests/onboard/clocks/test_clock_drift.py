@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from onboard.telemetry.timesync import NS_PER_S, LinkClock
+from onboard.clocks.timesync import NS_PER_S, LinkClock
 from tests.rest_long import rest_long
 
 MS = 1_000_000

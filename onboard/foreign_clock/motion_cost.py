@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.clock.log_track import STEP_NS, LogTrack
-from onboard.clock.picture_pairs import Pairs
+from onboard.foreign_clock.log_track import STEP_NS, LogTrack
+from onboard.foreign_clock.picture_pairs import Pairs
 
 Array = NDArray[np.float64]
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from onboard.clock.clock_search import Clock, Evidence, Stated, Unknown, search
-from onboard.clock.picture_pairs import Pairs
-from tests.onboard.clock.recorded_motion import evidence
+from onboard.foreign_clock.clock_search import Clock, Evidence, Stated, Unknown, search
+from onboard.foreign_clock.picture_pairs import Pairs
+from tests.onboard.foreign_clock.recorded_motion import evidence
 
 TURN = np.arange(3.0, 57.0, 1.5)  # of `plane_turn`
 LEG = np.arange(3.0, 17.0, 1.5)  # of `copter_leg`, straight at constant speed

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from onboard.telemetry.boot_clock import BootClock
-from onboard.telemetry.timesync import NS_PER_S, LinkClock, TimeSync
+from onboard.clocks.boot_clock import BootClock
+from onboard.clocks.timesync import NS_PER_S, LinkClock, TimeSync
 
 MS = 1_000_000
 EPOCH = 1_795_000_000 * NS_PER_S

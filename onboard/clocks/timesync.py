@@ -15,9 +15,9 @@ import math
 from collections import deque
 from dataclasses import dataclass, field
 
-from onboard.telemetry.arrivals import Arrivals
-from onboard.telemetry.boot_clock import Mode
-from onboard.telemetry.clock_filter import ClockFilter
+from onboard.clocks.arrivals import Arrivals
+from onboard.clocks.boot_clock import Mode
+from onboard.clocks.clock_filter import ClockFilter
 
 NS_PER_S = 1_000_000_000
 BIN_NS = NS_PER_S // 2

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from contract.geodesy import LocalFrame
 from contract.rotations import exp_so3, mount_rotation
-from onboard.clock.clock_search import Evidence
-from onboard.clock.log_track import log_track
-from onboard.clock.motion_cost import MotionNoise
-from onboard.clock.picture_pairs import Pairs
 from onboard.config.schema import parse_config
+from onboard.foreign_clock.clock_search import Evidence
+from onboard.foreign_clock.log_track import log_track
+from onboard.foreign_clock.motion_cost import MotionNoise
+from onboard.foreign_clock.picture_pairs import Pairs
 from onboard.telemetry.tlog_reader import read_tlog
 from simulation.flight import find_recording
 from simulation.trajectory import Pose, RecordedTruth

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from onboard.telemetry.boot_clock import MAX_BINS, BootClock
+from onboard.clocks.boot_clock import MAX_BINS, BootClock
 
 OFFSET_NS = 1_795_217_044_570_831_800
 MS = 1_000_000

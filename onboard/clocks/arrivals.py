@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from onboard.telemetry.boot_clock import BootClock, Mode
+from onboard.clocks.boot_clock import BootClock, Mode
 
 NS_PER_S = 1_000_000_000
 MEMORY_NS = 120 * NS_PER_S

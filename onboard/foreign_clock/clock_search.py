@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.clock.log_track import LogTrack
-from onboard.clock.motion_cost import MotionCost, MotionNoise
-from onboard.clock.picture_pairs import Pairs
-from onboard.clock.shot_cost import shot_cost
+from onboard.foreign_clock.log_track import LogTrack
+from onboard.foreign_clock.motion_cost import MotionCost, MotionNoise
+from onboard.foreign_clock.picture_pairs import Pairs
+from onboard.foreign_clock.shot_cost import shot_cost
 from onboard.geometry.robust import median_chi2
 from onboard.navigation.limits import CLEAR, MOST_OF
 
