@@ -38,6 +38,7 @@ from onboard.estimation.window_start import follow, start_tolerance_rad
 from onboard.geometry.plane_homography import Pose
 from onboard.geometry.relative_orientation import rotation_only
 from onboard.geometry.terrain_grid import Terrain
+from onboard.navigation.limits import LIKELY_SIGMAS
 from onboard.navigation.navigator import Navigation, NavState
 from onboard.navigation.position_interpolation import Displacement
 
@@ -352,6 +353,8 @@ class Window:
             mean, covariance = without_readout(mean, covariance, known, known_covariance)
         # The window's own information is added to the learned prior, which may be tighter: no delay is held open.
         gained = Information.gained(mean, covariance, known, known_covariance)
+        if max(solved.mount_sigmas) > LIKELY_SIGMAS:  # less is noise, which must not unlearn what turns have taught
+            before = before.with_mount_sigmas(solved.mount_sigmas)
         mean, covariance = gained.upon(before.mean, before.covariance)
         if clock is not None and covariance[OFFSET, OFFSET] < clock.variance:
             value_s = clock.mean_s if clock.is_wide else float(mean[OFFSET])

@@ -14,6 +14,8 @@ from onboard.estimation.factors import Layout, Prior, SharedPrior
 from onboard.estimation.ground_motion import GroundMotion
 from onboard.estimation.keyframe import Ids, Keyframe
 
+AS_KNOWN = (1.0, 1.0, 1.0)
+
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
@@ -35,6 +37,7 @@ class Solved:
     camera: Camera  # with its own states as solved
     readout_s: float = 0.0  # likewise
     variance_factor: float = 1.0  # on every variance that is published of it, (16.4)
+    mount_sigmas: tuple[float, float, float] = AS_KNOWN  # times what was known of the mount, (16.13)
     priors: tuple[Prior, ...] = ()  # that the solution was weighted by: where its errors come from, (20.1)
 
     @property

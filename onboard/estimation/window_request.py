@@ -16,14 +16,12 @@ from onboard.estimation.ground_slope import SlopePrior
 from onboard.estimation.keyframe import Keyframe
 from onboard.estimation.reobservation import Agreement
 from onboard.estimation.sensor_groups import Failing
-from onboard.estimation.solved_window import Solved
+from onboard.estimation.solved_window import AS_KNOWN, Solved
 from onboard.estimation.variance_components import VarianceFactors
 from onboard.estimation.window_acceptance import Memory
 from onboard.geometry.terrain_grid import Terrain
 
 Array = NDArray[np.float64]
-
-AS_KNOWN = (1.0, 1.0, 1.0)
 
 
 @dataclass(frozen=True)

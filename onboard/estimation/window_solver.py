@@ -30,7 +30,7 @@ from onboard.estimation.second_start import (
 from onboard.estimation.sensor_groups import Innovation, failing_groups, innovations
 from onboard.estimation.sensor_table import PARTS
 from onboard.estimation.shared_errors import shared_errors
-from onboard.estimation.solved_window import Solved
+from onboard.estimation.solved_window import AS_KNOWN, Solved
 from onboard.estimation.variance_components import evidence_of
 from onboard.estimation.window_acceptance import (
     MAX_DEPTH_SIGMA,
@@ -43,7 +43,7 @@ from onboard.estimation.window_acceptance import (
     mount_misfit_sigmas,
 )
 from onboard.estimation.window_problem import WindowProblem
-from onboard.estimation.window_request import AS_KNOWN, Noise, Outcome, Request, Weighed
+from onboard.estimation.window_request import Noise, Outcome, Request, Weighed
 from onboard.geometry.plane_fit import fit_plane
 from onboard.geometry.robust import OUTLIER_SIGMAS
 from onboard.navigation.limits import MOST_OF
@@ -391,7 +391,7 @@ def _solved(
     shared = shared_errors(request.config, priors, state, s.covariance)
     readout_s = window_start.readout_of(request, layout, state)
     found = layout, s, window.ids, good, plane, *noise_px, posed, shared, moving, camera, readout_s
-    return Solved(*found, priors=tuple(priors))
+    return Solved(*found, mount_sigmas=weighed.noise.mount_sigmas, priors=tuple(priors))
 
 
 def _depth_sigma(s: Solution, covariance: Array, good: Mask, layout: Layout) -> Array:

@@ -116,7 +116,8 @@ def _noticed_after_s(journal: str) -> float:
 def test_a_killed_process_is_back_within_seconds(flying: Sortie, record_property: Record) -> None:
     before = flying.unit("MainPID", "NRestarts")
     flying.machine.shell(f"kill -9 {before['MainPID']}")
-    took_s = _wait_restarted(flying, before, 10.0)
+    # The guest takes 6 to 9 s of them to start a daemon, and its host is not always as quick.
+    took_s = _wait_restarted(flying, before, 15.0)
     _, sees_s = flying.wait_for("pictures again", sees, 30.0)
     record_property("running, seeing after", f"{took_s:.1f}, {took_s + sees_s:.1f} s")
 

@@ -123,7 +123,7 @@ def test_stabilised_video_is_refused_as_such_while_it_hides_a_turn() -> None:
     assert Status.ZOOMED not in found.statuses
     assert max(found.errors_in(0.0, 40.0)) < 2.0
     refused = next(s for s in found.sets.values() if s.status is Status.STABILISED)
-    assert encode(refused)[2] == 0x21 and decode(encode(refused)).status is Status.STABILISED
+    assert decode(encode(refused)).status is Status.STABILISED
 
 
 @pytest.mark.parametrize("fault", rest_long(["wrong lens", "tilt-jump", "compass-flip", "none"]))
