@@ -1,4 +1,4 @@
-"""What each degeneracy yields: the table of docs/where-it-works.md. `python -m tests.scenarios.table`."""
+"""The yield of each degeneracy: the table of docs/where-it-works.md. `python -m tests.scenarios.table`."""
 
 from __future__ import annotations
 
