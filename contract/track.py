@@ -14,6 +14,7 @@ from contract.feature_set import Status
 MOST_TRACKS = 8
 MOST_PX = 8190.0  # that a packet holds
 MOST_REQUEST = 200  # characters
+OLD_LOOK_S = 0.5  # the age of an older look is written for people
 
 
 class TrackState(Enum):
@@ -32,6 +33,7 @@ class Unseen(Enum):
     OFF_PICTURE = "off the picture"
     NO_GROUND = "ground not followed"  # how the ground moves could not be seen
     NO_PICTURE = "no picture"  # none has come for a while
+    NO_REPORT = "no report"  # the ground has received none for a while
 
 
 @dataclass(frozen=True)
@@ -69,9 +71,10 @@ class Course:
 
 @dataclass(frozen=True)
 class TrackReport:
-    """A track at a picture: `u_px`, `v_px` the thing's middle there, `size_px` how large it is.
+    """A track at a moment, `capture_unix_ns`: its place and ellipse are for then. `unseen_s` before it was seen last.
 
-    Without a place `status` states why, in the words of a refused click; without a course nothing is known of it yet.
+    `u_px`, `v_px`: the thing's middle in the picture `frame`, `size_px` how large it is. Without a place `status`
+    states why, in the words of a refused click; without a course nothing is known of it yet.
     """
 
     number: int
@@ -87,12 +90,19 @@ class TrackReport:
     place: Place | None = None
     course: Course | None = None
     vehicle: str = ""
+    unseen_s: float = 0.0
+
+    @property
+    def seen_unix_ns(self) -> int:
+        """The moment of the last look."""
+        return self.capture_unix_ns - round(self.unseen_s * 1e9)
 
     def to_json(self) -> str:
         """One line."""
         p, c = self.place, self.course
         content: dict[str, object] = {
             "track": self.number, "state": self.state.value, "unseen": self.unseen.value or None,
+            "unseen_s": round(self.unseen_s, 2),
             "vehicle": self.vehicle or None, "frame": self.frame, "time_utc": time_utc(self.capture_unix_ns),
             "u": round(self.u_px, 2), "v": round(self.v_px, 2), "size_px": round(self.size_px, 1),
             "status": self.status.value,
@@ -105,7 +115,7 @@ class TrackReport:
 
     def to_text(self) -> str:
         """One line for people."""
-        p, state = self.place, self.state.value + (f" ({self.unseen.value})" if self.unseen.value else "")
+        p = self.place
         if p is None:
             where = f"{self.status.value}: {EXPLANATIONS[self.status]}"
         else:
@@ -114,7 +124,15 @@ class TrackReport:
                 f"{e.rounded(p.lat_deg, p.lon_deg)}  {CONFIDENCE:.0%} ellipse {e.semi_major_m:.1f} x "
                 f"{e.semi_minor_m:.1f} m at {e.azimuth_deg:.0f} deg"
             )
-        return f"track {self.number} {state}  {where}  {self.course_text}  at {time_utc(self.capture_unix_ns)}"
+        return (
+            f"track {self.number} {self.state_text}  {where}  {self.course_text}  at {time_utc(self.capture_unix_ns)}"
+        )
+
+    @property
+    def state_text(self) -> str:
+        """Its state in words, the reason why it is not seen, and how long ago it was."""
+        ago = f", seen {self.unseen_s:.1f} s ago" if self.unseen_s >= OLD_LOOK_S else ""
+        return self.state.value + (f" ({self.unseen.value})" if self.unseen.value else "") + ago
 
     @property
     def course_text(self) -> str:

@@ -15,9 +15,9 @@ from contract.wire.small_packet import HEIGHT_STEP_M, first_byte, heights_of
 MAJOR, MAX_TRACK_BYTES = 1, 60
 KIND = MAJOR << 4 | 1
 DEGREE, TIME_STEP_NS = 1e-9, 10_000
-SPEED_STEP_M_S, ANGLE_STEP_DEG, PIXEL_STEP, SIZE_STEP = 0.01, 360.0 / 65536.0, 1.0 / 8.0, 1.0 / 4.0
+AGE_STEP_S, SPEED_STEP_M_S, ANGLE_STEP_DEG, PIXEL_STEP, SIZE_STEP = 0.1, 0.01, 360.0 / 65536.0, 1.0 / 8.0, 1.0 / 4.0
 NO_COURSE = 0xFFFF  # in place of the sigma of a course: at rest
-HAS_ELLIPSOID, HAS_AMSL, HAS_PLACE, HAS_SPEED = 1, 2, 4, 8
+HAS_ELLIPSOID, HAS_AMSL, HAS_PLACE, HAS_SPEED, HAS_AGE = 1, 2, 4, 8, 16
 _STATES, _UNSEEN, _STATUSES = tuple(TrackState), tuple(Unseen), tuple(Status)
 
 # kind, number, state and unseen, flags, status, session, frame, time, u, v, size
@@ -28,9 +28,10 @@ _SPEED = struct.Struct("<HHHH")
 
 
 def encode_track(report: TrackReport) -> bytes:
-    """24 bytes, 25 more with a place and 8 with a speed. Raises ValueError for what has no encoding."""
+    """24 bytes, 25 more with a place, 8 with a speed, 1 with an age. Raises ValueError for what has no encoding."""
     r, p = report, report.place
-    flags = (p is not None) * HAS_PLACE | (r.course is not None) * HAS_SPEED
+    age = min(round(r.unseen_s / AGE_STEP_S), 255)
+    flags = (p is not None) * HAS_PLACE | (r.course is not None) * HAS_SPEED | (age > 0) * HAS_AGE
     if p is not None:
         flags |= (p.height_ellipsoid_m is not None) * HAS_ELLIPSOID | (p.height_amsl_m is not None) * HAS_AMSL
     try:
@@ -40,7 +41,8 @@ def encode_track(report: TrackReport) -> bytes:
             r.frame, round(r.capture_unix_ns / TIME_STEP_NS).to_bytes(6, "little"), *pixels,
             min(round(r.size_px / SIZE_STEP), 255),
         )  # fmt: skip
-        return head + (b"" if p is None else _place(p)) + (b"" if r.course is None else _speed(r.course))
+        parts = head, b"" if p is None else _place(p), b"" if r.course is None else _speed(r.course)
+        return b"".join(parts) + (bytes([age]) if age else b"")
     except (struct.error, OverflowError, ValueError) as error:
         raise ValueError(f"track {r.number} has no encoding: {error}") from error
 
@@ -58,7 +60,8 @@ def decode_tracks(payload: bytes, vehicle: str = "") -> list[TrackReport]:
 def _length(payload: bytes) -> int:
     """The length of the packet that a message begins with, as far as its head can be read."""
     flags = payload[3] if len(payload) >= _HEAD.size else 0
-    return _HEAD.size + bool(flags & HAS_PLACE) * _PLACE.size + bool(flags & HAS_SPEED) * _SPEED.size
+    extra = bool(flags & HAS_PLACE) * _PLACE.size + bool(flags & HAS_SPEED) * _SPEED.size
+    return _HEAD.size + extra + bool(flags & HAS_AGE)
 
 
 def decode_track(payload: bytes, vehicle: str = "") -> TrackReport:
@@ -69,7 +72,7 @@ def decode_track(payload: bytes, vehicle: str = "") -> TrackReport:
         raise TruncatedPayload(f"{len(payload)} bytes")
     _, number, state, flags, status, session, frame, time, u, v, size = _HEAD.unpack_from(payload)
     length = _length(payload)
-    if len(payload) != length or flags > 15:
+    if len(payload) != length or flags > 31:
         raise (
             TruncatedPayload(f"{len(payload)} bytes of {length}") if len(payload) < length else CorruptPayload("flags")
         )
@@ -78,10 +81,12 @@ def decode_track(payload: bytes, vehicle: str = "") -> TrackReport:
     if status >= len(_STATUSES):
         raise NewerPayload(f"status {status}")
     place = _read_place(payload, flags) if flags & HAS_PLACE else None
+    age_s = payload[-1] * AGE_STEP_S if flags & HAS_AGE else 0.0
+    tail = payload[:-1] if flags & HAS_AGE else payload
     return TrackReport(
         number, _STATES[state >> 4], _UNSEEN[state & 15], session, frame, int.from_bytes(time, "little") * TIME_STEP_NS,
         u * PIXEL_STEP - 0.5, v * PIXEL_STEP - 0.5, size * SIZE_STEP, _STATUSES[status], place,
-        _read_speed(payload[-_SPEED.size :]) if flags & HAS_SPEED else None, vehicle,
+        _read_speed(tail[-_SPEED.size :]) if flags & HAS_SPEED else None, vehicle, age_s,
     )  # fmt: skip
 
 

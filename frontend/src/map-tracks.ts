@@ -18,7 +18,9 @@ export interface TrackFeatures { readonly areas: Feature[]; readonly lines: Feat
 export function trackFeatures(tracks: readonly TrackNow[]): TrackFeatures {
   const areas: Feature[] = [], lines: Feature[] = [], labels: Feature[] = [];
   for (const track of tracks) {
-    const places = track.path.flatMap((report) => (report.place === null ? [] : [report.place])), last = places.at(-1);
+    const places = track.path.flatMap((report) => (report.place === null ? [] : [report.place]));
+    if (track.last.place !== null && track.last.place !== places.at(-1)) places.push(track.last.place); // where it may be by now
+    const last = places.at(-1);
     if (last === undefined) continue;
     const colour = PHASE_COLOURS[track.phase], isNow = track.phase === "followed" || track.phase === "coasting";
     const area = (ring: [number, number][], kind: string): void => { areas.push({ type: "Feature", geometry: { type: "Polygon", coordinates: [ring] }, properties: { colour, kind } }); };

@@ -116,7 +116,7 @@ export interface TrackPlace {
 /** A thing that is followed, at one picture. At rest it has a speed and no course. */
 export interface TrackReport {
   vehicle: string; session: number; track: number; frame: number; capture_unix_ns: string; u: number; v: number; size_px: number;
-  state: "followed" | "coasting" | "lost"; unseen: string; words: string; place: TrackPlace | null;
+  state: "followed" | "coasting" | "lost"; unseen: string; unseen_s: number; words: string; place: TrackPlace | null;
   course: { speed_m_s: number; sigma_speed_m_s: number; course_deg: number | null; sigma_course_deg: number | null } | null;
 }
 

@@ -11,7 +11,7 @@ import { gridLines, gridStep } from "../src/grid.js";
 import { age, decimals, degrees, methodWords, radius, stepText, within } from "../src/format.js";
 import { State } from "../src/state.js";
 import { bandOf, trackFeatures } from "../src/map-tracks.js";
-import { mergeReports, tracksAt, trackWords } from "../src/tracks.js";
+import { asOf, mergeReports, tracksAt, trackWords } from "../src/tracks.js";
 import type { FrameView, GroundMesh, Pin, PlaceAnswer, TrackReport, VehicleState } from "../src/types.js";
 
 const PICTURE = { width: 640, height: 480 };
@@ -243,7 +243,7 @@ test("after the connection was lost another server's revisions count", () => {
 
 const REPORT: TrackReport = {
   vehicle: "uav", session: 7, track: 1, frame: 10, capture_unix_ns: "1700000000000000000", u: 100, v: 90, size_px: 12,
-  state: "followed", unseen: "", words: "1.0 +-0.1 m/s towards 90 +-5 deg",
+  state: "followed", unseen: "", unseen_s: 0, words: "1.0 +-0.1 m/s towards 90 +-5 deg",
   place: { lat_deg: 47, lon_deg: 8, height_ellipsoid_m: 400, height_amsl_m: null, semi_major_m: 3, semi_minor_m: 1, azimuth_deg: 90 },
   course: { speed_m_s: 1, sigma_speed_m_s: 0.1, course_deg: 90, sigma_course_deg: 5 },
 };
@@ -272,10 +272,22 @@ test("a track is as it was at the moment that is looked at: followed, lost, ende
   assert.deepEqual(at(-1), []);
   assert.deepEqual(at(1), ["followed 2"]);
   assert.deepEqual(at(4), ["coasting 4"]);
+  assert.deepEqual(at(7), ["lost 4"]);
   assert.deepEqual(at(9), ["ended 4"]);
   assert.deepEqual(at(124), []);
   assert.equal(trackWords(tracksAt(held, () => BEGUN_MS + 3000)[0]!), `coasting (hidden): ${REPORT.words}`);
   assert.ok(trackWords(tracksAt(held, () => BEGUN_MS + 9000)[0]!).startsWith("ended"));
+});
+
+test("where no report comes a place moves on with its speed, its ellipse grows as in contract/track_age.py, and then it is lost", () => {
+  const aged = asOf(later(0, 0), BEGUN_MS + 2700), { lat_deg, lon_deg, semi_major_m, semi_minor_m, azimuth_deg } = aged.place!;
+  assert.deepEqual([aged.state, aged.unseen, aged.capture_unix_ns], ["coasting", "no report", "1700000002700000000"]);
+  near(enu({ lat_deg: 47, lon_deg: 8, height_m: 400 }, lat_deg, lon_deg, 400)[0]!, 2.7, 0.01);
+  near(semi_major_m, 13.263, 0.01);
+  near(semi_minor_m, 12.955, 0.01);
+  near(azimuth_deg, 90, 0.1);
+  const lost = asOf(later(0, 0), BEGUN_MS + 3600);
+  assert.deepEqual([lost.state, lost.place, lost.course], ["lost", null, null]);
 });
 
 test("the band about a path is as wide as the ellipses reach across it, and a thing at rest has none", () => {

@@ -6,12 +6,14 @@ import argparse
 import contextlib
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 from contract.errors import LinkError
 from contract.feature_set import FeatureSet
 from contract.topics import ANY_VEHICLE, SPOTS, TRACKS
 from contract.track import TrackReport
+from contract.track_age import LOST_AFTER_S
 from ground.commands import ANSWERED
 from ground.commands.sources import add_source_arguments, opened
 from ground.commands.values import positive, whole
@@ -84,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
                 for e in (
                     *(cot.event(mark, now_ns, stale_s) for mark in marks),
                     *(cot.aircraft_event(s, now_ns, stale_s) for s in sets),
-                    *(cot.track_event(report, now_ns, stale_s) for report in tracks),
+                    *(cot.track_event(report, now_ns, args.period + LOST_AFTER_S) for report in tracks),
                 )
                 if e is not None
             ]
@@ -135,11 +137,10 @@ class _aircraft:  # noqa: N801  called like a function
             self._cache.close()
 
     def tracks(self) -> list[TrackReport]:
-        """The newest report of every track that is still being reported."""
+        """The newest report of every track that is still being reported, as of now by this computer's clock."""
         if self._recording is not None:
             return []
-        tracks, ago_s = self._tracks.newest(), self._cache.stamped_ago_s
-        return [r for r in tracks if ago_s(r.vehicle, r.capture_unix_ns) <= self._stale_s]
+        return [replace(r, capture_unix_ns=time.time_ns()) for r in self._tracks.newest(self._cache.stamped_ago_s)]
 
     def dropped(self) -> list[str]:
         """The messages that were not accepted, a line for each reason."""

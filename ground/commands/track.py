@@ -11,9 +11,11 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from contract import track_age
 from contract.errors import LinkError
 from contract.topics import DEFAULT_ENDPOINT
-from contract.track import ListTracks, StartTrack, StopTrack, TrackReport, TrackState
+from contract.track import ListTracks, StartTrack, StopTrack, TrackReport, TrackState, Unseen
+from contract.track_age import as_of
 from ground.commands import ANSWERED, REFUSED
 from ground.commands.saving import save
 from ground.commands.sources import opened, vehicle_of
@@ -36,6 +38,7 @@ examples:
   pc-ground track --list; pc-ground track --stop 3
 """
 MOST_KEPT = 200_000  # reports for --save: more than a day of one track
+REPEATED_S = 0.5  # between reports that are aged
 SILENT_S = 10.0  # without a report of a track that was begun
 
 
@@ -121,10 +124,15 @@ def _recorded(args: argparse.Namespace) -> int:
 def _listen(link: TrackLink, number: int | None, args: argparse.Namespace, kept: list[TrackReport]) -> None:
     """Print reports until the time is over or the track is lost."""
     until_s = None if args.seconds is None else time.monotonic() + args.seconds
-    received_s, warnings = time.monotonic(), Warnings()
+    received_s, warnings, silent = time.monotonic(), Warnings(), _Silent()
     count = 0
     while (until_s is None or time.monotonic() < until_s) and count != args.count:
         report = link.next(0.2)
+        for aged in silent.passed(time.monotonic(), None if report is None else report.number):
+            if number in (None, aged.number):
+                print(aged.to_json() if args.json else aged.to_text(), flush=True)
+        if report is not None:
+            silent.take(report, time.monotonic())
         if report is None or (number is not None and report.number != number):
             if number is not None and time.monotonic() - received_s > SILENT_S:
                 received_s = time.monotonic()
@@ -140,6 +148,33 @@ def _listen(link: TrackLink, number: int | None, args: argparse.Namespace, kept:
         print(report.to_json() if args.json else report.to_text(), flush=True)
         if number is not None and report.state is TrackState.LOST:
             return
+
+
+class _Silent:
+    """The tracks of which nothing comes any more: the last report, aged, twice a second until it is lost."""
+
+    def __init__(self) -> None:
+        self._last: dict[int, tuple[TrackReport, float]] = {}
+        self._passed_s = 0.0
+
+    def take(self, report: TrackReport, now_s: float) -> None:
+        self._last[report.number] = report, now_s
+
+    def passed(self, now_s: float, received: int | None) -> list[TrackReport]:
+        """Return the reports that are due; `received`: the track that has just been reported."""
+        if now_s - self._passed_s < REPEATED_S:
+            return []
+        self._passed_s, out = now_s, []
+        for number, (report, received_s) in list(self._last.items()):
+            silent_s = now_s - received_s
+            if number == received or silent_s <= track_age.SILENT_S:
+                continue
+            aged = as_of(report, silent_s, silent_s, Unseen.NO_REPORT)
+            if aged.state is TrackState.LOST:
+                del self._last[number]
+            if report.state is not TrackState.LOST:
+                out.append(aged)
+        return out
 
 
 def _stop(link: TrackLink, number: int) -> None:

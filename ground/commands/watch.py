@@ -19,7 +19,8 @@ from contract.errors import WireError
 from contract.feature_set import FeatureSet
 from contract.locate import Locator
 from contract.topics import ANY_VEHICLE, SPOTS, STATUS, TRACKS
-from contract.track import TrackReport
+from contract.track import TrackReport, Unseen
+from contract.track_age import as_of
 from contract.vehicle_status import VehicleStatus
 from contract.wire.message import read_status
 from ground.commands import ANSWERED
@@ -44,7 +45,6 @@ examples:
 """
 RATE_SPAN_S = 5.0
 SPOTS_SPAN_S = 30.0  # before the newest: hot spots that were seen since then
-OLD_TRACK_S = 60.0  # an older report is no track that is followed now, though it came just now
 _COLUMNS = ("vehicle", "state", "age", "rate", "position", "tracks", "CE90", "reason")
 _WIDTHS = (12, 15, 8, 7, 24, 6, 8, 0)
 
@@ -132,9 +132,7 @@ def run(args: argparse.Namespace) -> int:
                 rows.append(_row(name, newest, state, age_s, rate_hz, amiss, cache.is_certain(name)))
             if not rows and not args.json:
                 print(f"nothing received yet{f': {cache.link_error}' if cache.link_error else ''}", file=sys.stderr)
-            ago_s = cache.stamped_ago_s
-            followed = [r for r in tracks.newest() if ago_s(r.vehicle, r.capture_unix_ns) <= OLD_TRACK_S]
-            _show(rows, [*followed, *_recent(found)], args.json, is_screen)
+            _show(rows, [*tracks.newest(cache.stamped_ago_s), *_recent(found)], args.json, is_screen)
             warnings.show(cache.dropped.lines(), always=is_screen)
             shown += 1
     return ANSWERED
@@ -222,11 +220,12 @@ def _row(
 
 
 def _last_followed(recording: Recording, vehicle: str) -> list[TrackReport]:
-    """The last report of every thing that was followed when a recording ended, by number."""
-    newest = recording.newest_picture(vehicle)
-    since_ns = 0 if newest is None else newest.capture_unix_ns - round(SILENT_S * 1e9)
-    held = {r.number: r for r in recording.tracks(vehicle) if r.capture_unix_ns >= since_ns}
-    return [held[number] for number in sorted(held)]
+    """The last report of every thing that was followed when a recording ended, as of its end, by number."""
+    newest, reports = recording.newest_picture(vehicle), recording.tracks(vehicle)
+    end_ns = max(0 if newest is None else newest.capture_unix_ns, *(r.capture_unix_ns for r in reports), 0)
+    held = {r.number: (r, (end_ns - r.capture_unix_ns) / 1e9) for r in reports}
+    recent = [held[number] for number in sorted(held) if held[number][1] <= SILENT_S]
+    return [as_of(report, age_s, age_s, Unseen.NO_REPORT) for report, age_s in recent]
 
 
 def _recent(spots: ReceivedSpots) -> list[FoundThing]:

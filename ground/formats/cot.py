@@ -81,12 +81,16 @@ def aircraft_event(s: FeatureSet, now_unix_ns: int, stale_s: float) -> str | Non
 
 
 def track_event(report: TrackReport, now_unix_ns: int, stale_s: float) -> str | None:
-    """The event of a followed thing, with its speed and course; None without a place, or once it is lost."""
+    """The event of a followed thing, with its speed and course; None without a place, or once it is lost.
+
+    `time` and `start` are those of the last look, from which `stale_s` count.
+    """
     p, c = report.place, report.course
     if p is None or report.state is TrackState.LOST:
         return None
     uid = f"pointclick.{report.vehicle}.{report.session}.track.{report.number}"
-    root = _event(uid, FOLLOWED, "m-r", now_unix_ns, report.capture_unix_ns, stale_s)
+    seen_ns = min(report.seen_unix_ns, now_unix_ns)
+    root = _event(uid, FOLLOWED, "m-r", seen_ns, seen_ns, stale_s)
     _point(
         root, p.lat_deg, p.lon_deg, p.height_ellipsoid_m, ce90_m(p.ellipse.covariance_en_m2), le90_m(p.sigma_height_m)
     )
@@ -99,7 +103,7 @@ def track_event(report: TrackReport, now_unix_ns: int, stale_s: float) -> str | 
         )  # fmt: skip
     elif c is not None:
         element(detail, "track", speed="0.00", eSpeed=f"{c.sigma_speed_m_s:.2f}")
-    element(detail, "remarks", f"followed by {report.vehicle}: {report.state.value}; {report.course_text}")
+    element(detail, "remarks", f"followed by {report.vehicle}: {report.state_text}; {report.course_text}")
     return ET.tostring(root, encoding="unicode")
 
 

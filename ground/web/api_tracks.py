@@ -56,6 +56,7 @@ def track_json(report: TrackReport) -> dict[str, Any]:
         "size_px": round(report.size_px, 1),
         "state": report.state.value,
         "unseen": report.unseen.value,
+        "unseen_s": round(report.unseen_s, 2),
         "words": report.course_text if p is not None else EXPLANATIONS[report.status],
         "place": None
         if p is None

@@ -27,7 +27,6 @@ MAX_HELD = 64  # pictures that wait for their set
 MAX_ORDERS = 32  # that wait for this thread
 MAX_BEHIND = 4  # pictures with a set that wait for this thread: where it cannot keep up, older ones are passed over
 REPORT_S = 0.5
-SILENT_S = 1.0
 EDGE_PX = 16.0  # a click nearer to the picture's edge has nothing around it to be known by
 REST = 1.0  # of the time that it worked, in which it leaves the processor to others
 MOST_REST_S = 0.2
@@ -162,24 +161,29 @@ class TrackThread(WokenWork):
             frame, its_set = self._ready.popleft()
         self._book.picture(frame, its_set)
         self._picture_s = self._monotonic_s()
-        alive = set(self._book.numbers)
         with self._changed:
             self._frames = self._book.frames
             if frame.image is not None:
                 self._size_px = frame.image.shape[1], frame.image.shape[0]
+        self._end_lost()
+        self._report()
+        return True
+
+    def _end_lost(self) -> None:
+        alive = set(self._book.numbers)
+        with self._changed:
             waiting = {order[0] for order in self._orders if isinstance(order, tuple)}
             for number in [n for n in self._active if n not in alive and n not in waiting]:
                 del self._active[number]
-        self._report()
-        return True
 
     def _report(self) -> None:
         now_s = self._monotonic_s()
         if now_s - self._reported_s < REPORT_S:
             return
         self._reported_s = now_s
-        reports = self._book.reports(now_s - self._picture_s > SILENT_S)
+        reports = self._book.reports(now_s - self._picture_s)
         if reports:
+            self._end_lost()
             payload = b"".join(self._encoded(report) for report in reports)
             for outlet in self.outlets:
                 outlet(max(report.capture_unix_ns for report in reports), payload)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.track import Unseen
+from contract.track_age import LOST_AFTER_S
 from onboard.geometry.plane_homography import move
 from onboard.tracks.backdrop import Patch, cut, difference
 from onboard.tracks.ground_steps import Pictures, Seen
@@ -29,7 +30,6 @@ ACCELERATION_M_S2, TURN_RAD_S = 0.6, 0.15
 USUAL_M_PX = 0.15  # on the ground, where no set gives a better one
 CLICK_SIGMA_PX, CLICK_REACH_PX = 1.5, 10.0
 SURE_DIFFERENCE, SURE_LIKENESS, LEAST_LIKENESS = 0.35, 0.8, 0.3
-LOST_AFTER_S = 2.0
 OLD_S = 1.0  # age of the older of the two looks that are remembered
 PRIOR_WEIGHT = 0.04
 CHAIN_PX2 = 0.01  # variance of a step of the ground, and of what a walking thing does within one
@@ -111,7 +111,16 @@ class Follower:
 
     def is_lost(self, seen: Seen) -> bool:
         """Return whether it has not been seen for longer than LOST_AFTER_S."""
-        return seen.stamp_ns - self._last_seen_ns > LOST_AFTER_S * 1e9
+        return self.unseen_s(seen) > LOST_AFTER_S
+
+    def unseen_s(self, seen: Seen) -> float:
+        """Return the time from when it was seen last to a picture."""
+        return (seen.stamp_ns - self._last_seen_ns) * 1e-9
+
+    def passed_over(self, seen: Seen) -> Observation:
+        """Take a picture in which it is not looked for."""
+        self._seen = seen
+        return self._unseen(Unseen.NO_PICTURE)
 
     def follow(self, seen: Seen) -> Observation:
         """Look for it in the next picture."""

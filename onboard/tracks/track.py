@@ -9,7 +9,8 @@ from contract.answer import Ellipse, Fix, Place
 from contract.feature_set import Status
 from contract.geodesy import LocalFrame
 from contract.locate import MAX_ELLIPSE_SHARE, Locator
-from contract.track import TrackReport, TrackState, Unseen
+from contract.track import TrackReport, TrackState
+from contract.track_age import LOST_AFTER_S
 from onboard.geometry.plane_homography import move
 from onboard.tracks.follower import Follower, Observation
 from onboard.tracks.ground_steps import Pictures, Seen
@@ -48,11 +49,12 @@ class Track:
 
     def take(self, seen: Seen, locator: Locator | None) -> None:
         """The next picture; `locator` of its set, None if that gives no place."""
-        H = self._pictures.between(self._seen, seen)
-        self._seen = seen
+        before, self._seen = self._seen, seen
+        H = self._pictures.between(before, seen)
         if self._landmark is not None:
             self._landmark = None if H is None else move(H, self._landmark[None])[0]
-        self._observed = self.follower.follow(seen)
+        is_gap = (seen.stamp_ns - before.stamp_ns) * 1e-9 > LOST_AFTER_S  # whatever is there now may be another thing
+        self._observed = self.follower.passed_over(seen) if is_gap else self.follower.follow(seen)
         if self._observed.is_seen:
             self.state = TrackState.FOLLOWED
             self._measure(self._observed, locator)
@@ -63,30 +65,26 @@ class Track:
     def is_lost(self) -> bool:
         return self.state is TrackState.LOST
 
+    def end(self) -> None:
+        """It is lost for good: pictures that come later do not find it again."""
+        self.state = TrackState.LOST
+
     def motion(self) -> Motion | None:
         """Return its velocity; None before anything is known of it."""
         is_known = self._filtered_ns - self._first_ns >= FIRST_SPEED_S * 1e9
         return None if self._filter is None or not is_known else self._filter.motion
 
     def report(self, session: int, vehicle: str) -> TrackReport:
-        """Return its report as of the newest picture."""
+        """Return its report as of the newest picture: a lost thing has neither place nor speed."""
         seen, observed, motion = self._seen, self._observed, self.motion()
         course = None if motion is None else motion.course(motion.is_moving)
-        place = self._place(motion)
+        place = None if self.is_lost else self._place(motion)
+        status = Status.UNCERTAIN if self.is_lost else self._status
         return TrackReport(
             self.number, self.state, observed.unseen, session, seen.frame, seen.stamp_ns, float(observed.uv_px[0]),
-            float(observed.uv_px[1]), self.follower.size_px, Status.OK if place is not None else self._status, place,
-            course, vehicle,
+            float(observed.uv_px[1]), self.follower.size_px, Status.OK if place is not None else status, place,
+            None if self.is_lost else course, vehicle, self.follower.unseen_s(seen),
         )  # fmt: skip
-
-    def unheard(self, session: int, vehicle: str) -> TrackReport:
-        """Return its report when no picture has come for a while: unseen, and coasting if it was followed."""
-        self.state = TrackState.COASTING if self.state is TrackState.FOLLOWED else self.state
-        if self._observed.unseen is Unseen.NONE:
-            self._observed = Observation(
-                self._seen, self._observed.uv_px, self._observed.sigma_px, 0.0, Unseen.NO_PICTURE
-            )
-        return self.report(session, vehicle)
 
     def _measure(self, observed: Observation, locator: Locator | None) -> None:
         """A picture's place and way, (24.10) and (24.11)."""

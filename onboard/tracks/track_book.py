@@ -6,13 +6,13 @@ import numpy as np
 
 from contract.feature_set import FeatureSet
 from contract.locate import Locator
-from contract.track import MOST_TRACKS, TrackReport
+from contract.track import MOST_TRACKS, TrackReport, TrackState, Unseen
+from contract.track_age import SILENT_S, as_of
 from onboard.events.types import Frame
 from onboard.tracks.ground_steps import Pictures, Seen
 from onboard.tracks.track import Track
 
 REPORT_LOST_S = 5.0  # that a lost track is still reported
-SILENT_S = 1.0  # without a picture after which tracks coast
 
 
 class TrackBook:
@@ -75,10 +75,18 @@ class TrackBook:
         self._lost_ns.pop(number, None)
         return self._tracks.pop(number, None) is not None
 
-    def reports(self, is_silent: bool = False) -> list[TrackReport]:
-        """Return a report of each track; `is_silent`: no picture has come for SILENT_S."""
-        each = ((t.unheard if is_silent else t.report) for t in self._tracks.values())
-        return [of(self._session, self._vehicle) for of in each]
+    def reports(self, silent_s: float = 0.0) -> list[TrackReport]:
+        """Return a report of each track; where no picture has come for SILENT_S, as of `silent_s` after the newest."""
+        out = []
+        age_s = silent_s if silent_s > SILENT_S else 0.0
+        for track in self._tracks.values():
+            report = as_of(track.report(self._session, self._vehicle), age_s, silent_s, Unseen.NO_PICTURE)
+            if report.state is TrackState.LOST:
+                track.end()
+            out.append(report)
+        if age_s > 0.0 and out:
+            self._forget(max(report.capture_unix_ns for report in out))
+        return out
 
     def _forget(self, now_ns: int) -> None:
         for number, track in list(self._tracks.items()):

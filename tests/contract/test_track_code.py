@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -71,6 +72,15 @@ def test_a_report_is_read_back_from_60_bytes_or_fewer(report: TrackReport) -> No
         if c.course_deg is not None and d.course_deg is not None:
             assert min(abs(c.course_deg - d.course_deg), 360.0 - abs(c.course_deg - d.course_deg)) <= 0.003
     assert encode_track(found) == payload  # rounding happens once
+
+
+@given(REPORTS, st.floats(0.0, 60.0))
+def test_the_age_of_the_last_look_takes_a_byte_where_there_is_one(report: TrackReport, unseen_s: float) -> None:
+    aged = replace(report, unseen_s=unseen_s)
+    payload = encode_track(aged)
+    found = decode_track(payload)
+    assert found.unseen_s == pytest.approx(min(unseen_s, 25.5), abs=0.051) and encode_track(found) == payload
+    assert len(payload) - len(encode_track(report)) == (found.unseen_s > 0.0) and len(payload) <= MAX_TRACK_BYTES
 
 
 def test_the_bytes_are_those_of_the_document() -> None:

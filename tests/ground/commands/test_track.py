@@ -9,9 +9,11 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from contract.track import Course, TrackReport, TrackState
+from contract.geodesy import LocalFrame
+from contract.track import Course, TrackReport, TrackState, Unseen
 from contract.wire.track_code import decode_track, encode_track
 from ground.__main__ import main
 from ground.formats import cot, track_path
@@ -28,7 +30,9 @@ NOW_NS = 1_700_000_001_000_000_000
 
 
 class Following(threading.Thread):
-    """An aircraft that follows whatever it is asked to, and loses it in its fifth report."""
+    """An aircraft that follows whatever it is asked to, and loses it in its fifth report; `most` it makes."""
+
+    most = 10**9
 
     def __init__(self, publisher: Publisher) -> None:
         super().__init__(daemon=True)
@@ -46,6 +50,8 @@ class Following(threading.Thread):
         while not self.ended.wait(0.05):
             if any(text.startswith("u=") for text in self.asked):
                 count += 1
+            if count > self.most:
+                continue
             state = TrackState.LOST if count >= 5 else TrackState.FOLLOWED
             other = replace(REPORT, number=9, state=TrackState.FOLLOWED)
             self.publisher.publish_tracks(encode_track(other) + encode_track(replace(REPORT, state=state)))
@@ -105,6 +111,21 @@ def test_ended_by_the_time_given_the_track_is_stopped_or_left(aircraft: tuple[st
     assert following.asked[-1].startswith("u=320.0")
 
 
+def test_where_reports_stop_the_lines_go_on_until_it_is_lost(
+    aircraft: tuple[str, Following], capsys: pytest.CaptureFixture[str]
+) -> None:
+    endpoint, following = aircraft
+    following.most = 3
+    assert main(["track", "320", "100", "--connect", endpoint, "--seconds", "4", "--json"]) == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [line["state"] for line in lines[:3]] == ["followed"] * 3
+    silent = lines[3:]
+    assert {line["unseen"] for line in silent} == {"no report"} and len(silent) >= 2
+    widths = [line["ellipse"]["semi_major_m"] for line in (lines[2], silent[0])]
+    assert silent[0]["state"] == "coasting" and widths[1] > widths[0]
+    assert silent[-1]["state"] == "lost" and "lat_deg" not in silent[-1]
+
+
 def path_of(name: str) -> str:
     assert REPORT.place is not None
     reports: list[TrackReport] = []
@@ -154,6 +175,43 @@ def test_tracks_that_are_no_longer_reported_are_forgotten() -> None:
     assert received.newest()[0] == decode_track(encode_track(REPORT), "uav-1")
     now[0] = SILENT_S + 0.1
     assert not received.newest()
+
+
+def test_where_reports_stop_the_place_moves_on_and_widens_and_is_then_withdrawn() -> None:
+    now, seen = [0.0], replace(REPORT, state=TrackState.FOLLOWED, unseen=Unseen.NONE)
+    received = ReceivedTracks(lambda: now[0])
+    received.take("pc/uav-1/tracks", encode_track(seen))
+    assert seen.place is not None and seen.course is not None
+    frame = LocalFrame(seen.place.lat_deg, seen.place.lon_deg, 0.0)
+    for now[0], state in ((0.8, TrackState.FOLLOWED), (1.9, TrackState.COASTING)):
+        (report,) = received.newest(lambda _, stamp_ns: now[0] + 0.2)  # 0.2 s on its way
+        assert report.place is not None and report.state is state and report.unseen_s == pytest.approx(now[0] + 0.2)
+        way = frame.to_enu(report.place.lat_deg, report.place.lon_deg, 0.0)[:2]
+        assert np.hypot(*way) == pytest.approx(14.98 * (now[0] + 0.2), rel=1e-3) and way[0] < -10.0  # westward
+        assert 1.0 < report.place.ellipse.semi_major_m - seen.place.ellipse.semi_major_m < 20.0
+        assert report.capture_unix_ns - seen.capture_unix_ns == pytest.approx((now[0] + 0.2) * 1e9, abs=1e4)
+    now[0] = 2.1
+    (report,) = received.newest()
+    assert (report.state, report.unseen, report.place, report.course) == (TrackState.LOST, Unseen.NO_REPORT, None, None)
+    assert "lost (no report), seen 2.1 s ago" in report.to_text()
+
+
+def test_a_report_that_came_late_is_as_old_as_its_picture() -> None:
+    received = ReceivedTracks(lambda: 0.0)
+    received.take("pc/uav-1/tracks", encode_track(replace(REPORT, state=TrackState.FOLLOWED, unseen=Unseen.NONE)))
+    (report,) = received.newest(lambda *_: 3.0)
+    assert report.state is TrackState.FOLLOWED and report.place is not None
+    assert 20.0 < report.place.ellipse.semi_major_m < 50.0
+    (report,) = received.newest(lambda *_: 50.0)
+    assert report.state is TrackState.LOST and report.place is None
+
+
+def test_cot_times_are_those_of_the_last_look() -> None:
+    text = cot.track_event(replace(REPORT, capture_unix_ns=NOW_NS, unseen_s=1.5), NOW_NS + 50_000_000_000, 30.0)
+    assert text is not None
+    event = ET.fromstring(text)
+    seen = "2023-11-14T22:13:19.500Z"
+    assert (event.get("time"), event.get("start"), event.get("stale")) == (seen, seen, "2023-11-14T22:13:49.500Z")
 
 
 def test_what_was_followed_is_in_the_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

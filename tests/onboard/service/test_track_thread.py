@@ -151,12 +151,12 @@ def test_pictures_that_it_cannot_keep_up_with_are_passed_over() -> None:
     for number in range(16, 16 + 3 * MAX_HELD):
         simulated.tracks.event(0, type(frame)(frame.stamp_ns + number, number, frame.image))
     assert len(simulated.tracks._held) <= MAX_HELD
-    for number in range(20, 40):  # and of those with a set the newest are looked at
+    for number in range(20, 34):  # and of those with a set the newest are looked at
         simulated.hand_over(number)
     simulated.hand_over(25)
     simulated.tracks.work()
-    assert sorted(simulated.tracks._frames)[-MAX_BEHIND - 1 :] == [15, *range(40 - MAX_BEHIND, 40)]
-    simulated.now_s += 2.0
+    assert sorted(simulated.tracks._frames)[-MAX_BEHIND - 1 :] == [15, *range(34 - MAX_BEHIND, 34)]
+    simulated.now_s += 1.5
     simulated.tracks.work()
     (report,) = decode_tracks(simulated.sent[-1])
     assert (report.state, report.unseen) == (TrackState.COASTING, Unseen.NO_PICTURE)

@@ -179,10 +179,28 @@ def test_another_session_begins_without_tracks() -> None:
     assert not book.reports() and book.frames == {0}
 
 
-def test_pictures_that_stop_coming_are_reported() -> None:
+def test_where_pictures_stop_its_place_goes_on_its_ellipse_grows_and_after_two_seconds_it_is_lost() -> None:
+    car = Thing(at(-12.0, 0.0, (5.0, 0.0)), 2.0)
+    world = World((car,))
+    book, reported = fly(world, range(40), {1: car}, clicked=15)
+    (report,) = book.reports(1.6)
+    assert (report.state, report.unseen) == (TrackState.COASTING, Unseen.NO_PICTURE)
+    last = reported[1][39]
+    assert last.place is not None and report.place is not None
+    assert report.capture_unix_ns - last.capture_unix_ns == 1_600_000_000 and report.unseen_s == pytest.approx(1.6)
+    off = PLACE.to_enu(report.place.lat_deg, report.place.lon_deg, 100.0)[:2] - car.place(3.9 + 1.6)
+    assert np.abs(off - [0.8, -0.5]).max() < 0.5
+    assert 1.0 < report.place.ellipse.semi_major_m - last.place.ellipse.semi_major_m < 10.0
+    (lost,) = book.reports(50.0)
+    assert (lost.state, lost.place, lost.course, lost.seen_unix_ns) == (
+        TrackState.LOST, None, None, last.capture_unix_ns,
+    )  # fmt: skip
+    assert not book.numbers and book.reports(56.0) and not book.reports(56.5)
+
+
+@pytest.mark.parametrize(("gap", "is_found"), [(12, True), (22, False)])
+def test_after_a_gap_of_two_seconds_what_is_there_is_not_taken_for_it(gap: int, is_found: bool) -> None:
     world = World((Thing(at(0.0, 0.0), 2.0),))
     book, _ = fly(world, range(25), {1: world.things[0]}, clicked=15)
-    (report,) = book.reports(is_silent=True)
-    assert (report.state, report.unseen) == (TrackState.COASTING, Unseen.NO_PICTURE)
-    book.picture(world.frame(25), world.its_set(25))
-    assert book.reports()[0].state is TrackState.FOLLOWED
+    book.picture(world.frame(24 + gap), world.its_set(24 + gap))
+    assert book.reports()[0].state is (TrackState.FOLLOWED if is_found else TrackState.LOST)
