@@ -20,25 +20,34 @@ MISFIT_PX = 0.4  # one sigma of what is left of the misfit between two pictures
 LEAST_SHIFT_PX = 0.08  # for which a layer is rendered again
 LEAST_NOISE = 1.0  # grey levels
 CLEAR, CERTAIN = 2.5, 6.0  # sigmas at which a pixel begins to count as something else, and at which it is
+LEAST_COMMON = 0.6  # of what a patch has of its picture: an earlier one that shows less of it does not count
 AROUND = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 
 
 @dataclass(frozen=True, eq=False)
 class Patch:
-    """A square of a picture: its pixels (S, S), float32, and the picture's pixel that its own (0, 0) is."""
+    """A square of a picture: its pixels (S, S), float32, and the picture's pixel that its own (0, 0) is.
+
+    `inside` (S, S): those that the picture has, where it does not have them all; the others repeat its edge.
+    """
 
     image: Image
     corner: NDArray[np.int64]
+    inside: NDArray[np.bool_] | None = None
 
 
-def cut(seen: Seen, centre: Array, half: int) -> Patch | None:
-    """The square of 2 half + 1 pixels about a place; None where it is not all on the picture."""
+def cut(seen: Seen, centre: Array, half: int) -> Patch:
+    """The square of 2 half + 1 pixels about a place."""
     corner = np.rint(centre).astype(np.int64) - half
     height, width = seen.image.shape
-    if (corner < 0).any() or corner[0] + 2 * half >= width or corner[1] + 2 * half >= height:
-        return None
-    at = slice(corner[1], corner[1] + 2 * half + 1), slice(corner[0], corner[0] + 2 * half + 1)
-    return Patch(seen.image[at].astype(np.float32), corner)
+    if (corner >= 0).all() and corner[0] + 2 * half < width and corner[1] + 2 * half < height:
+        at = slice(corner[1], corner[1] + 2 * half + 1), slice(corner[0], corner[0] + 2 * half + 1)
+        return Patch(seen.image[at].astype(np.float32), corner)
+    along = np.arange(2 * half + 1)
+    rows, columns = corner[1] + along, corner[0] + along
+    image = seen.image[np.clip(rows, 0, height - 1)[:, None], np.clip(columns, 0, width - 1)]
+    inside = ((rows >= 0) & (rows < height))[:, None] & ((columns >= 0) & (columns < width))
+    return Patch(image.astype(np.float32), corner, inside)
 
 
 def earlier(pictures: Pictures, seen: Seen) -> list[Seen]:
@@ -58,12 +67,16 @@ def earlier(pictures: Pictures, seen: Seen) -> list[Seen]:
 def difference(pictures: Pictures, seen: Seen, patch: Patch) -> Image | None:
     """Return how surely each pixel of a patch (S, S) shows something that was not there before, 0 to 1. (24.5)
 
-    None without at least two earlier pictures of the same ground.
+    None without at least two earlier pictures of the same ground; 0 where pictures do not reach.
     """
-    layers = _aligned(pictures, seen, patch)
+    layers, known = _aligned(pictures, seen, patch)
     if len(layers) < 2:
         return None
     behind = np.median(layers, axis=0) if len(layers) > 2 else layers[-1]
+    if known is not None:
+        shown = known.sum(axis=0) >= 2
+        middle = np.nanmedian(np.where(known | ~shown, layers, np.nan), axis=0)
+        behind = np.where(shown, middle, patch.image).astype(np.float32)
     off = np.abs(patch.image - behind)
     noise = max(1.48 * float(np.partition(off, off.size // 2, axis=None)[off.size // 2]), LEAST_NOISE)
     dx, dy = cv2.Sobel(behind, cv2.CV_32F, 1, 0, scale=0.125), cv2.Sobel(behind, cv2.CV_32F, 0, 1, scale=0.125)
@@ -71,12 +84,15 @@ def difference(pictures: Pictures, seen: Seen, patch: Patch) -> Image | None:
     return np.clip((off / sigma - CLEAR) / (CERTAIN - CLEAR), 0.0, 1.0)
 
 
-def _aligned(pictures: Pictures, seen: Seen, patch: Patch) -> Image:
-    """The patch's ground in earlier pictures (L, S, S), shifted and brightened to fit; those that show all of it."""
+def _aligned(pictures: Pictures, seen: Seen, patch: Patch) -> tuple[Image, NDArray[np.bool_] | None]:
+    """The patch's ground in earlier pictures (L, S, S), shifted and brightened to fit, and which pixels (L, S, S) both
+    pictures have, where not all; those that show most of what the patch has.
+    """
     size = patch.image.shape[0]
     here = np.array([[1.0, 0.0, patch.corner[0]], [0.0, 1.0, patch.corner[1]], [0.0, 0.0, 1.0]])
     corners = np.column_stack([(AROUND + 1.0) * 0.5 * (size - 1), np.ones(4)])
     ways: list[tuple[Seen, Array]] = []
+    reached: list[NDArray[np.bool_] | None] = []
     for other in earlier(pictures, seen):
         H = pictures.between(seen, other)
         if H is None:
@@ -86,21 +102,36 @@ def _aligned(pictures: Pictures, seen: Seen, patch: Patch) -> Image:
         if (to[:, 2] <= 0.0).any():
             continue
         at = to[:, :2] / to[:, 2:]
-        if (at >= 1.0).all() and (at <= (width - 2.0, height - 2.0)).all():
+        is_whole = (at >= 1.0).all() and (at <= (width - 2.0, height - 2.0)).all()
+        both = None if is_whole and patch.inside is None else _common(H @ here, size, width, height, patch.inside)
+        has = size * size if patch.inside is None else int(np.count_nonzero(patch.inside))
+        if both is None or np.count_nonzero(both) >= LEAST_COMMON * has:
             ways.append((other, H @ here))
+            reached.append(both)
     layers = np.zeros((len(ways), size, size), np.float32)
     if not ways:
-        return layers
+        return layers, None
+    known = None
+    if any(both is not None for both in reached):
+        known = np.stack([np.ones((size, size), bool) if both is None else both for both in reached])
     for layer, (other, M) in zip(layers, ways, strict=True):
         layer[:] = _warped(other, M, size)
-    shift, gain, lift = _fit(patch.image, layers)
+    shift, gain, lift = _fit(patch.image, layers, known)
     for layer, (other, M), by in zip(layers, ways, shift, strict=True):
         if np.abs(by).max() > LEAST_SHIFT_PX:
             moved = np.array([[1.0, 0.0, by[0]], [0.0, 1.0, by[1]], [0.0, 0.0, 1.0]])
             layer[:] = _warped(other, M @ moved, size)
     layers *= gain[:, None, None].astype(np.float32)
     layers += lift[:, None, None].astype(np.float32)
-    return layers
+    return layers, known
+
+
+def _common(M: Array, size: int, width: int, height: int, inside: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
+    """The pixels (S, S) of a patch that its own picture and another one have; M: its pixels -> the other's."""
+    columns, rows = np.meshgrid(np.arange(float(size)), np.arange(float(size)))
+    u, v, w = (m[0] * columns + m[1] * rows + m[2] for m in M)
+    both = (u >= w) & (u <= (width - 2.0) * w) & (v >= w) & (v <= (height - 2.0) * w)
+    return np.asarray(both if inside is None else both & inside)
 
 
 def _warped(other: Seen, M: Array, size: int) -> Grey:
@@ -108,9 +139,10 @@ def _warped(other: Seen, M: Array, size: int) -> Grey:
     return np.asarray(cv2.warpPerspective(other.image, M, (size, size), flags=flags), np.uint8)
 
 
-def _fit(image: Image, layers: Image) -> tuple[Array, Array, Array]:
+def _fit(image: Image, layers: Image, known: NDArray[np.bool_] | None) -> tuple[Array, Array, Array]:
     """(24.4): shifts (L, 2), px, gains (L,) and lifts (L,) that bring layers (L, S, S) onto an image (S, S) as well as
-    may be, whatever covers a part of it. All at once: each alone is too small to be worth a call of NumPy.
+    may be, whatever covers a part of it; by the pixels `known`, if not all are. All at once: each alone is too small to
+    be worth a call of NumPy.
     """
     inner = slice(1, -1, STRIDE)
     before, after = slice(None, -2, STRIDE), slice(2, None, STRIDE)
@@ -125,13 +157,23 @@ def _fit(image: Image, layers: Image) -> tuple[Array, Array, Array]:
     A[:, 3] = 1.0
     off = image[inner, inner].ravel() - b
     x = np.zeros((count, 4))
-    x[:, 3] = np.median(off, axis=1)
+    blank = None if known is None else ~known[:, inner, inner].reshape(count, -1)
+    x[:, 3] = _medians(off, blank)
     for _ in range(ROUNDS):
         miss = off - np.einsum("lk,lkn->ln", x.astype(np.float32), A)
-        scale = np.maximum(1.48 * np.median(np.abs(miss), axis=1), 0.5)
+        scale = np.maximum(1.48 * _medians(np.abs(miss), blank), 0.5)
         weight = 1.0 / (1.0 + (miss / (2.0 * scale[:, None])) ** 2)
+        if blank is not None:
+            weight[blank] = 0.0
         W = A * weight[:, None].astype(np.float32)
         N = (W @ A.transpose(0, 2, 1)).astype(float) + 1e-3 * np.eye(4)
         x = np.linalg.solve(N, (W @ off[:, :, None].astype(np.float32)).astype(float))[..., 0]
     gain = 1.0 + x[:, 2]
     return np.clip(x[:, :2] / np.maximum(gain, 0.5)[:, None], -2.0, 2.0), gain, x[:, 3] - x[:, 2] * middle
+
+
+def _medians(values: Image, blank: NDArray[np.bool_] | None) -> Array:
+    """The median of each row, without what is blank."""
+    if blank is None:
+        return np.asarray(np.median(values, axis=1), float)
+    return np.asarray(np.nanmedian(np.where(blank, np.nan, values), axis=1), float)

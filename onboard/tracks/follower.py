@@ -30,6 +30,8 @@ ACCELERATION_M_S2, TURN_RAD_S = 0.6, 0.15
 USUAL_M_PX = 0.15  # on the ground, where no set gives a better one
 CLICK_SIGMA_PX, CLICK_REACH_PX = 1.5, 10.0
 SURE_DIFFERENCE, SURE_LIKENESS, LEAST_LIKENESS = 0.35, 0.8, 0.3
+# How near to the picture's edge its middle is still looked for: a share of its size, and px.
+EDGE_SHARE, LEAST_EDGE_PX = 0.5, 3.0
 OLD_S = 1.0  # age of the older of the two looks that are remembered
 PRIOR_WEIGHT = 0.04
 CHAIN_PX2 = 0.01  # variance of a step of the ground, and of what a walking thing does within one
@@ -131,13 +133,12 @@ class Follower:
             return self._unseen(Unseen.NO_GROUND)
         self._predict(H, dt)
         height, width = seen.image.shape
-        if not (0.0 <= self._uv[0] <= width - 1.0 and 0.0 <= self._uv[1] <= height - 1.0):
+        inner = max(EDGE_SHARE * self._size, LEAST_EDGE_PX)
+        if (self._uv < inner).any() or (self._uv > (width - 1.0 - inner, height - 1.0 - inner)).any():
             return self._unseen(Unseen.OFF_PICTURE)
         reach = self._reach()
         half = self._half()
         patch = cut(seen, self._uv, reach + half + 6)
-        if patch is None:
-            return self._unseen(Unseen.OFF_PICTURE)
         changed = difference(self._pictures, seen, patch)
         found = self._best(patch, changed, reach, half)
         if found is None:
@@ -202,6 +203,10 @@ class Follower:
         off = place - self._uv
         far = np.einsum("ijk,kl,ijl->ij", off, np.linalg.inv(self._cov[:2, :2] + 0.25 * np.eye(2)), off)
         score = likeness - PRIOR_WEIGHT * far
+        inner = max(EDGE_SHARE * self._size, LEAST_EDGE_PX)
+        height, width = self._seen.image.shape
+        if patch.inside is not None:  # what is cut by the picture's edge is not compared
+            score[((place < inner) | (place > (width - 1.0 - inner, height - 1.0 - inner))).any(axis=-1)] = -np.inf
         here = None
         if changed is not None:
             cover = cv2.GaussianBlur(changed, (0, 0), max(0.3 * self._size, 0.8))
@@ -275,7 +280,7 @@ class Follower:
         """Keep how it looks now, next to how it looked OLD_S ago."""
         half = self._half()
         patch = cut(self._seen, self._uv, int(1.5 * half) + 2)
-        if patch is None:
+        if patch.inside is not None:
             return
         new = _Look(self._seen.stamp_ns, patch, self._uv.copy(), np.eye(2))
         old = [look for look in self._looks if new.stamp_ns - look.stamp_ns >= OLD_S * 1e9]
@@ -289,8 +294,8 @@ class Follower:
     def _find_size(self) -> None:
         """Find its middle and size from what differs about the click, if the thing has been moving."""
         patch = cut(self._seen, self._uv, int(MOST_SIZE_PX))
-        changed = None if patch is None else difference(self._pictures, self._seen, patch)
-        if patch is None or changed is None:
+        changed = difference(self._pictures, self._seen, patch)
+        if changed is None:
             return
         sure = cv2.morphologyEx((changed > 0.3).astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
         count, _, stats, middles = cv2.connectedComponentsWithStats(sure)

@@ -12,7 +12,7 @@ from contract.answer import CHI2_2
 from contract.feature_set import Status
 from contract.track import MOST_TRACKS, TrackReport, TrackState, Unseen
 from onboard.tracks.track_book import REPORT_LOST_S, TrackBook
-from tests.onboard.tracks.flat_world import PLACE, RATE_HZ, SESSION, Thing, World, at
+from tests.onboard.tracks.flat_world import M_PX, PLACE, RATE_HZ, SESSION, Thing, World, at
 from tests.rest_long import rest_long
 
 Watch = Callable[[int, list[TrackReport]], None]
@@ -125,6 +125,16 @@ def test_a_thing_that_is_gone_is_lost_and_then_forgotten() -> None:
     assert not book.reports() and not book.numbers
     first_lost = next(n for n, r in reported[1].items() if r.state is TrackState.LOST)
     assert 20 <= first_lost - 35 <= 35
+
+
+@pytest.mark.parametrize("edge_px", rest_long([37.0, 25.0, 45.0, 53.0]))
+def test_a_click_near_the_edge_is_followed_like_any_other(edge_px: float) -> None:
+    small = Thing(at((edge_px - 159.5) * M_PX, -10.0, (0.0, 3.0)), 0.6)
+    world = World((small,))
+    _, reported = fly(world, range(50), {1: small}, clicked=18)
+    last = reported[1][49]
+    assert last.state is TrackState.FOLLOWED and off_px(world, small, reported[1]) < 1.5
+    assert last.course is not None and abs(last.course.speed_m_s - 3.0) < 0.3
 
 
 def test_what_leaves_the_picture_is_reported_to_have_left_it() -> None:
