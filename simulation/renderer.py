@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from contract.camera import Camera
 from contract.errors import InputError
 from simulation.movers import Movers
+from simulation.raster import look_up
 from simulation.terrain import Terrain
 from simulation.texture import Texture
 from simulation.trajectory import Pose
@@ -24,6 +25,9 @@ Grey = NDArray[np.uint8]
 LATTICE_PX = 4
 MAX_DEPTH_M = 2e4
 HAZE_M = 9000.0
+# How far the texture of what stands on the ground moves, east and north, with its height: so that roofs have textures
+# of their own, and walls one that changes with the height.
+BY_LIFT = np.array([1.7, -2.3], np.float32)
 SKY = 0.78
 SUN_ENU = np.array([-0.45, 0.35, 0.82]) / np.linalg.norm([-0.45, 0.35, 0.82])
 MAX_SUB_EXPOSURES = 16
@@ -65,6 +69,7 @@ class View(NamedTuple):
     footprint_m: Image
     shade: Image
     is_seen: NDArray[np.bool_]
+    lift_m: Image | None = None  # of what stands on the ground, in a world of raster
 
 
 class Renderer:
@@ -128,7 +133,10 @@ class Renderer:
         `pose` is then that of the middle row.
         """
         v = self.view(pose, rows)
-        light = self.texture.albedo(pose.centre_m[:2], v.east_m, v.north_m, v.footprint_m, time_s) * v.shade
+        east, north = v.east_m, v.north_m
+        if v.lift_m is not None:
+            east, north = east + BY_LIFT[0] * v.lift_m, north + BY_LIFT[1] * v.lift_m
+        light = self.texture.albedo(pose.centre_m[:2], east, north, v.footprint_m, time_s) * v.shade
         if self._movers is not None:
             self._movers.paint(light, pose, v.east_m, v.north_m, v.footprint_m, time_s)
         if not v.is_seen.all() or float(v.depth_m.max()) > 0.15 * HAZE_M:
@@ -138,7 +146,7 @@ class Renderer:
 
     def view(self, pose: Pose, rows: RowPoses | None = None) -> View:
         """Find the ground each pixel looks at, from one pose, or each row from its own; `pose`: the middle row's."""
-        ground_m, shade = self._surface(pose, rows)
+        ground_m, shade, lift = self._surface(pose, rows)
         R, moved = pose.R_enu_cam.astype(np.float32), np.zeros(3, np.float32)
         if rows is not None:
             R_rows, centres = rows(np.arange(self.camera.height_px, dtype=float))
@@ -157,10 +165,10 @@ class Renderer:
         length = np.sqrt(x * x + y * y + np.float32(1.0))
         slant = length / np.maximum(-down, np.float32(0.02))
         footprint = depth * np.float32(1.0 / self.camera.focal_px) * slant ** np.float32(0.75)
-        return View(east, north, depth, depth * length, footprint, shade, seen)
+        return View(east, north, depth, depth * length, footprint, shade, seen, lift)
 
-    def _surface(self, pose: Pose, rows: RowPoses | None) -> tuple[Image, Image]:
-        """Height of the ground each pixel sees (H, W), m, and how sunlit it is.
+    def _surface(self, pose: Pose, rows: RowPoses | None) -> tuple[Image, Image, Image | None]:
+        """Height of the ground each pixel sees (H, W), m, how sunlit it is, and in a world of raster its lift.
 
         The height is cast on a lattice and interpolated: unlike depth it is smooth, and on level ground constant.
         """
@@ -182,15 +190,19 @@ class Renderer:
         shade = self.sunlit(slope)
         # Roofs and tree crowns differ from the ground next to them, each a little from the next.
         lift = self.terrain.obstacle_m(points[:, 0], points[:, 1])
-        shade = shade * np.where(lift > 0.0, 0.55 + 0.25 * np.modf(lift * 3.7)[0] + 0.05 * lift, 1.0)
+        if self.terrain.raster is None:
+            shade = shade * np.where(lift > 0.0, 0.55 + 0.25 * np.modf(lift * 3.7)[0] + 0.05 * lift, 1.0)
+        else:
+            shade = shade * look_up(self.terrain.raster.paint, points[:, 0], points[:, 1])
         shape = self._lattice_cam.shape[:2]
         height32, shade32 = height.reshape(shape).astype(np.float32), shade.reshape(shape).astype(np.float32)
         if self._stride == 1:
-            size = self.camera.height_px, self.camera.width_px
-            return height32[: size[0], : size[1]], shade32[: size[0], : size[1]]
+            at = slice(self.camera.height_px), slice(self.camera.width_px)
+            is_raster = self.terrain.raster is not None
+            return height32[at], shade32[at], lift.reshape(shape).astype(np.float32)[at] if is_raster else None
         u, v = self._lattice_map[..., 0], self._lattice_map[..., 1]
         both = cv2.remap(np.dstack([height32, shade32]), u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        return np.asarray(both[..., 0], np.float32), np.asarray(both[..., 1], np.float32)
+        return np.asarray(both[..., 0], np.float32), np.asarray(both[..., 1], np.float32), None
 
     @staticmethod
     def sunlit(slope: Array) -> Array:

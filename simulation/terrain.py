@@ -2,7 +2,8 @@
 
 Level ground is level: it falls away from the origin's tangent plane as the Earth curves, so that "flat at 100 m" stays
 100 m everywhere. Hills are a few plane waves, smooth and exact at every point; obstacles stand one to a cell of a
-periodic grid, so that finding the one at a point takes one table look-up.
+periodic grid, so that finding the one at a point takes one table look-up. A town or a forest is a raster of heights
+(simulation/raster.py), its hills too.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from contract.errors import InputError
 from contract.geodesy import EARTH_RADIUS_M, level_ground_m
+from simulation.raster import KINDS, Raster, look_up
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -23,11 +25,14 @@ CELLS = 128  # the obstacle grid repeats after this many cells
 EDGE_M = 0.4  # a wall rises over this distance, so that a ray always meets the surface
 MAX_MARCH_STEPS = 160
 HIT_TOLERANCE_M = 1e-6
+OBSTACLES = ("none", "boxes", "bumps", *KINDS)
 
 
 @dataclass(frozen=True)
 class TerrainSpec:
-    """`relief_m`: highest hill over deepest valley. `obstacles`: "none", "boxes" (houses) or "bumps" (tree crowns)."""
+    """`relief_m`: highest hill over deepest valley. `obstacles`: "none", "boxes" (houses), "bumps" (tree crowns), or
+    one of a raster of heights, "town" (houses and trees) and "forest".
+    """
 
     relief_m: float = 0.0
     wavelength_m: float = 250.0
@@ -37,8 +42,8 @@ class TerrainSpec:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if self.obstacles not in ("none", "boxes", "bumps"):
-            raise InputError(f"obstacles {self.obstacles!r} is not known; use none, boxes or bumps")
+        if self.obstacles not in OBSTACLES:
+            raise InputError(f"obstacles {self.obstacles!r} is not known; use one of {', '.join(OBSTACLES)}")
         if self.relief_m < 0 or self.wavelength_m < 20 or self.obstacle_height_m < 0 or self.obstacle_cell_m < 8:
             raise InputError(
                 "terrain: relief and obstacle height must not be negative, the wavelength at least 20 m, "
@@ -63,10 +68,17 @@ class Terrain:
         self._weight = weight * spec.relief_m / (high - low)
         self._base_m = -0.5 * (low + high) * spec.relief_m / (high - low)
         self._cells = self._draw_cells(rng)
+        self.raster = (
+            Raster.draw(spec.obstacles, spec.relief_m, spec.obstacle_height_m, spec.obstacle_cell_m, spec.seed)
+            if spec.obstacles in KINDS
+            else None
+        )
         # The waves may exceed the sampled range a little elsewhere: the sum of weights can not be exceeded anywhere.
         reach = float(np.abs(self._weight).sum())
         top_m = spec.obstacle_height_m if self.has_obstacles else 0.0
         self.lowest_m, self.highest_m = self._base_m - reach, self._base_m + reach + top_m
+        if self.raster is not None:
+            self.lowest_m, self.highest_m = (float(of(self.raster.surface_m)) for of in (np.min, np.max))
 
     @property
     def has_obstacles(self) -> bool:
@@ -99,6 +111,8 @@ class Terrain:
         """Height of the surface in the origin's ENU axes at east `x_m`, north `y_m` (any shape, metres)."""
         x, y = np.asarray(x_m, float), np.asarray(y_m, float)
         z = level_ground_m(x, y)
+        if self.raster is not None:
+            return np.asarray(z + look_up(self.raster.surface_m, *np.broadcast_arrays(x, y)), float)
         if self.spec.relief_m > 0.0:
             z = z + self._base_m + self._waves(x, y, self._weight)
         if self.has_obstacles:
@@ -110,6 +124,8 @@ class Terrain:
         x, y = np.asarray(x_m, float), np.asarray(y_m, float)
         if not self.has_obstacles:
             return np.zeros(np.broadcast(x, y).shape)
+        if self.raster is not None:
+            return look_up(self.raster.lift_m, *np.broadcast_arrays(x, y))
         cell_m = self.spec.obstacle_cell_m
         column, row = np.floor(x / cell_m), np.floor(y / cell_m)
         cell = self._cells[row.astype(np.int64) % CELLS, column.astype(np.int64) % CELLS]
@@ -126,6 +142,8 @@ class Terrain:
         """Gradient dz/dx, dz/dy of the hills (obstacles left out), shape (..., 2)."""
         x, y = np.asarray(x_m, float), np.asarray(y_m, float)
         out = np.zeros((*np.broadcast(x, y).shape, 2))
+        if self.raster is not None:
+            return out  # its hills are gentle
         if self.spec.relief_m > 0.0:
             for k, phase, share in zip(self._wave, self._phase, self._weight, strict=True):
                 out += (share * np.cos(k[0] * x + k[1] * y + phase))[..., None] * k
@@ -152,6 +170,14 @@ class Terrain:
         near, _ = self._cross_level(centre, rays, ceiling_m)
         near = np.where(centre[2] > ceiling_m, near, 0.0)
         index = np.flatnonzero(hit)
+        if self.raster is not None:
+            ends = [centre + d[index, None] * rays[index] for d in (near, depth)]
+            for end in ends:
+                end[:, 2] -= level_ground_m(end[:, 0], end[:, 1])
+            share, found = self.raster.first_crossing(*ends)
+            depth[index] = near[index] + share * (depth[index] - near[index])
+            hit[index] &= found
+            return depth, hit
         depth[index], found = self._first_crossing(centre, rays[index], near[index], depth[index])
         hit[index] &= found
         return depth, hit
