@@ -134,6 +134,9 @@ class Fix:
     offset_enu_m: Array  # from the camera, in its east-north-up axes
     covariance_enu_m2: Array  # (3, 3)
     age_s: float | None = None  # of the picture when the answer came; in a recording, against its newest picture
+    above_ground_m: float | None = None  # of what was measured, and its one sigma
+    sigma_above_ground_m: float | None = None
+    unmeasured: str = ""  # why it was not, where that was asked for
 
     @property
     def status(self) -> Status:
@@ -158,8 +161,24 @@ class Fix:
             f'"sigma_height_m": {self.sigma_height_m:.3f}, "method": {json.dumps(self.method)}, '
             f'"frame": {self.frame}, "time_utc": "{time_utc(self.capture_unix_ns)}", '
             f'"age_s": {"null" if self.age_s is None else f"{self.age_s:.3f}"}, '
-            f'"vehicle": {json.dumps(self.vehicle)}}}'
+            f'"vehicle": {json.dumps(self.vehicle)}{self._measured_json()}}}'
         )
+
+    def _measured_json(self) -> str:
+        """What an answer has besides if its pixel was asked for to be measured."""
+        if self.unmeasured:
+            return f', "unmeasured": {json.dumps(self.unmeasured)}'
+        if self.above_ground_m is None:
+            return ""
+        return f', "above_ground_m": {self.above_ground_m:.3f}, "sigma_above_ground_m": {self.sigma_above_ground_m:.3f}'
+
+    @property
+    def _method_text(self) -> str:
+        if self.unmeasured:
+            return f"{self.method} (not measured: {self.unmeasured})"
+        if self.above_ground_m is None:
+            return self.method
+        return f"{self.method}, {self.above_ground_m:.1f} +-{self.sigma_above_ground_m:.1f} m above the ground"
 
     def to_text(self) -> str:
         """One line for people."""
@@ -169,7 +188,7 @@ class Fix:
         return (
             f"{e.rounded(self.lat_deg, self.lon_deg)}  {height} +-{self.sigma_height_m:.1f} m  "
             f"{CONFIDENCE:.0%} ellipse {e.semi_major_m:.1f} x {e.semi_minor_m:.1f} m at {e.azimuth_deg:.0f} deg  "
-            f"{self.method}  frame {self.frame} of {self.vehicle} at {time_utc(self.capture_unix_ns)}, "
+            f"{self._method_text}  frame {self.frame} of {self.vehicle} at {time_utc(self.capture_unix_ns)}, "
             f"{age_text(self.age_s)}"
         )
 

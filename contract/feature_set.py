@@ -93,6 +93,47 @@ class SharedErrors:
     span_s: tuple[float, float] = (0.0, 0.0)  # from capture to the first and to the last picture the set is built on
 
 
+class Measured(Enum):
+    """What became of a clicked pixel: measured, or why not. Values are the words users see; order, the wire code."""
+
+    MEASURED = "measured"
+    NO_PICTURE = "picture not kept"  # the aircraft holds its picture no longer
+    BORDER = "border"  # too near to the picture's edge
+    FEW_VIEWS = "few views"  # too few other pictures show it from elsewhere
+    NO_TEXTURE = "no texture"
+    REPEATED = "repeated texture"
+    HIDDEN = "hidden"  # too few of them agree: something else is in the way
+    EDGE = "edge"  # two surfaces meet there
+    MOVES = "moves"
+    ROLLING = "rolling rows"
+
+    @property
+    def code(self) -> int:
+        """The number on the wire: the position in this list, which only ever grows at its end."""
+        return _MEASURED_CODES[self]
+
+
+_MEASURED_CODES: dict[Measured, int] = {measured: code for code, measured in enumerate(Measured)}
+
+
+@dataclass(frozen=True)
+class ClickedPixel:
+    """A pixel that was asked for: its own inverse depth, which no other pixel's answer takes part in, or why there is
+    none.
+    """
+
+    u_px: float
+    v_px: float
+    measured: Measured
+    inverse_depth_per_m: float = 0.0
+    sigma_per_m: float = 0.0
+
+    @property
+    def is_measured(self) -> bool:
+        """Return whether it has an inverse depth."""
+        return self.measured is Measured.MEASURED
+
+
 @dataclass(frozen=True, eq=False)
 class FeatureSet:
     """One picture's pose, features and covariances. With `status` other than OK, everything after it may be empty."""
@@ -125,6 +166,7 @@ class FeatureSet:
     sigma_inverse_depth_per_m: Array = field(default_factory=lambda: np.zeros(0))
     # None: all rows at once. Else the pose and the features' pixels are those of the middle row's moment.
     shutter: RollingShutter | None = None
+    clicked: ClickedPixel | None = None  # in an answer to a question for a pixel
 
     def __len__(self) -> int:
         return len(self.inverse_depth_per_m)

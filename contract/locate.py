@@ -8,7 +8,8 @@ To first order, with the nine common states of contract/feature_set.py and the c
 
 so that cov X = J S J' + (r / w)(r / w)' var e; towards the horizon terms of higher order widen it, (9.17). Between two
 clicks the common states cancel through J1 - J2, (9.10), and kriging gives the covariance of e1 with e2. Between two
-sets: ground/two_sets.py. Section 9 of docs/mathematics.md.
+sets: ground/two_sets.py. Section 9 of docs/mathematics.md. Where a set states what one clicked pixel was measured at,
+that and its own error stand for kriging's at this pixel, and nowhere else: (29.13).
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from contract.answer import CHI2_2, Answer, Ellipse, Fix, Refusal
-from contract.feature_set import COMMON_STATES, DepthSource, FeatureSet, HeightDatum, Status
+from contract.feature_set import COMMON_STATES, DepthSource, FeatureSet, HeightDatum, Measured, Status
 from contract.geodesy import LocalFrame
 from contract.kriging import MIN_PLANE_SHARE, Kriging, distance_outside, distances_outside, hull_area, stretch
 from contract.rolling_shutter import row_share
@@ -35,6 +36,8 @@ MIN_FEATURES = 3
 MIN_INVERSE_DEPTH_SIGMAS = 3.0
 # The longest semi-major axis (90 %) that is still an answer, as a share of the height above ground: (9.18).
 MAX_ELLIPSE_SHARE = 0.3
+SAME_PX = 1e-3  # a pixel and the same on the wire
+GROUND_STEPS = 4  # to the ground below what was measured: each gains two digits
 SHUTTER_STEPS = 2  # of the place that a pixel of another row than the middle has: the second moves it by microns
 
 
@@ -148,6 +151,9 @@ class Locator:
             vehicle=s.vehicle,
             offset_enu_m=located.offset_enu_m,
             covariance_enu_m2=covariance,
+            above_ground_m=None if (above := self._above_ground(located)) is None else above[0],
+            sigma_above_ground_m=None if above is None else above[1],
+            unmeasured=self._unmeasured(uv),
         )
 
     def offset(self, uv_px: ArrayLike) -> Array | Status:
@@ -172,7 +178,8 @@ class Locator:
         located = self._located(uv)
         if isinstance(located, Status):
             return None
-        ground, noise = self.own_variances(located.xy)
+        measured = located.method == Measured.MEASURED.value
+        ground, noise = (0.0, float(located.variance[0, 0])) if measured else self.own_variances(located.xy)
         by_pixel = self._by_pixel(uv[None], np.array([1.0 / located.relative]))[0]
         return ErrorParts(located.relative * math.sqrt(ground), located.relative * math.sqrt(noise), by_pixel)
 
@@ -183,6 +190,11 @@ class Locator:
         own = float(self._kriging.predict_each(xy[None])[1][0])
         noise = min(float(self._kriging.measured_variance(xy[None])[0]), own)
         return own - noise, noise
+
+    def between_features(self, xy: Array) -> tuple[float, float]:
+        """The ground's inverse depth at unit-depth coordinates (2,) over the plane's, less one, and its one sigma."""
+        r, variance = self._kriging.predict_each(xy[None])
+        return float(r[0]), math.sqrt(max(float(variance[0]), 0.0))
 
     def answers(self, uv_px: ArrayLike) -> Answers:
         """Many pixels (M, 2) at once, each by itself."""
@@ -270,7 +282,10 @@ class Locator:
             method = DepthSource.PLANE.value
         if plane <= self._plane_floor:
             return Status.ABOVE_HORIZON
-        r, variance = self._kriging.predict(xy[None])
+        if (known := self._measured(uv_px)) is not None:
+            r, variance, method = np.array([known[0] / plane - 1.0]), np.array([[(known[1] / plane) ** 2]]), known[2]
+        else:
+            r, variance = self._kriging.predict(xy[None])
         relative = 1.0 + float(r[0])
         if not relative > MIN_INVERSE_DEPTH_SIGMAS * math.sqrt(max(float(variance[0, 0]), 0.0)):
             return Status.ABOVE_HORIZON
@@ -278,6 +293,49 @@ class Locator:
         steeper = float(late @ s.plane_per_m[1:]) / plane
         by_readout = s.R_enu_cam[:, :2] @ late / (plane * relative) - offset * steeper
         return _Located(xy, offset, 1.0 / relative, variance, method, by_readout)
+
+    def _measured(self, uv_px: Array) -> tuple[float, float, str] | None:
+        """Inverse depth, sigma (1/m) and method of the pixel that was measured, if that is the one."""
+        c = self.feature_set.clicked
+        if c is None or not c.is_measured or not self._is_clicked(uv_px):
+            return None
+        return c.inverse_depth_per_m, c.sigma_per_m, c.measured.value
+
+    def _is_clicked(self, uv_px: Array) -> bool:
+        c = self.feature_set.clicked
+        return c is not None and bool(np.abs(uv_px - (c.u_px, c.v_px)).max() < SAME_PX)
+
+    def _unmeasured(self, uv_px: Array) -> str:
+        """Why the pixel that was asked for was not measured; empty for any other, and if it was."""
+        c = self.feature_set.clicked
+        return "" if c is None or c.is_measured or not self._is_clicked(uv_px) else c.measured.value
+
+    def _above_ground(self, located: _Located) -> tuple[float, float] | None:
+        """Height above the ground between the features at the same place, and its one sigma, of what was measured.
+
+        (29.14)
+        """
+        if located.method != Measured.MEASURED.value:
+            return None
+        s, below = self.feature_set, located.offset_enu_m.copy()
+        ground = located
+        for _ in range(GROUND_STEPS):
+            at = below @ s.R_enu_cam
+            xy = at[:2] / at[2]
+            plane = float(s.plane_per_m[0] + xy @ s.plane_per_m[1:])
+            if at[2] <= 0.0 or plane <= self._plane_floor:
+                return None
+            r, variance = self._kriging.predict(xy[None])
+            relative = 1.0 + float(r[0])
+            if relative <= 0.0:
+                return None
+            met = s.R_enu_cam @ np.array([*xy, 1.0]) / (plane * relative)
+            ground = _Located(xy, met, 1.0 / relative, variance, s.depth_source.value)
+            # The ray meets the ground at another place than below the thing: the ground is level between both.
+            below = np.array([*located.offset_enu_m[:2], met[2]])
+        joint = self._covariance([located, ground])
+        height_m = float(located.offset_enu_m[2] - ground.offset_enu_m[2])
+        return height_m, math.sqrt(max(float(joint[2, 2] + joint[5, 5] - 2.0 * joint[2, 5]), 0.0))
 
     def _at_middle_row(self, xy: Array, v_px: Array) -> tuple[Array, Array]:
         """Move what pixels (M, 2) of these rows (M,) saw to the picture's moment; also return the derivative (M, 2) of
@@ -301,7 +359,7 @@ class Locator:
             np.array([located.xy for located in clicks]),
         )
         J = _jacobian(offset, xy).reshape(-1, COMMON_STATES)
-        own = clicks[0].variance if len(clicks) == 1 else self._kriging.predict(xy)[1]
+        own = clicks[0].variance if len(clicks) == 1 else self._own_covariance(clicks, xy)
         spread = np.zeros((3 * len(clicks), len(clicks)))
         by_depth = np.zeros((len(clicks), COMMON_STATES + len(clicks)))
         for i, click in enumerate(clicks):
@@ -317,6 +375,17 @@ class Locator:
             moved = np.concatenate([click.by_readout for click in clicks]) * self.feature_set.shutter.sigma_readout_s
             out = out + np.outer(moved, moved)
         return out
+
+    def _own_covariance(self, clicks: list[_Located], xy: Array) -> Array:
+        """Of several clicks' r (M, M): kriging's, and what was measured has nothing in common with that."""
+        own = self._kriging.predict(xy)[1]
+        measured = np.array([click.method == Measured.MEASURED.value for click in clicks])
+        own[measured, :] = own[:, measured] = 0.0
+        if measured.any():  # there is one measured pixel: however often it is clicked, it is the same error
+            own[np.ix_(measured, measured)] = max(
+                float(click.variance[0, 0]) for click in clicks if click.method == Measured.MEASURED.value
+            )
+        return own
 
 
 def _curvature(by_cause: Array, by_depth: Array, causes: Array) -> Array:

@@ -97,6 +97,8 @@ TIME_PARAMETER = "time"
 # taken and has no set yet is answered when it has one.
 WAIT_PARAMETER = "wait"
 ANSWER_TIMEOUT_S = 3.0
+# With any of these, or none: the pixel that is to be measured by itself, columns and rows.
+PIXEL_PARAMETERS = "u", "v"
 # Parameter of a query on STATUS: all other state of the daemon, for `pc-onboard doctor`.
 DETAIL_PARAMETER = "detail"
 # How far a picture's capture may be from the `time` asked for.

@@ -24,6 +24,7 @@ from contract.topics import (
     ANY_VEHICLE,
     FEATURES,
     FRAME_PARAMETER,
+    PIXEL_PARAMETERS,
     QUERY,
     TIME_PARAMETER,
     WAIT_PARAMETER,
@@ -61,6 +62,7 @@ def inquire(
     *,
     frame: int | None = None,
     unix_s: float | None = None,
+    pixel: tuple[float, float] | None = None,
     tls: Tls | None = None,
     is_sole: bool = False,
     dropped: DroppedMessages | None = None,
@@ -68,6 +70,7 @@ def inquire(
     """Ask each vehicle at an endpoint for its set of a frame or a time, or its newest one; a reply may be a refusal.
 
     A picture whose set is still being made is waited for, up to PICTURE_TIMEOUT_S.
+    `pixel`: u and v of one that the aircraft is to measure by itself, which takes it 0.5 s at most.
     Each reply has the age that the picture had at most when it came: what the aircraft states by its own clock when it
     is asked, and the time that the question took from here and back.
     `is_sole`: one aircraft's answer is wanted. Where a router knows of several, LinkError names them; none is asked.
@@ -75,10 +78,13 @@ def inquire(
     A client session: it opens in milliseconds where a peer waits half a second for others to show up. Raises LinkError
     if there is no vehicle or none answers, WireError for a set this version cannot read.
     """
-    parameters, timeout_s = "", ANSWER_TIMEOUT_S
+    parts, timeout_s = [], ANSWER_TIMEOUT_S
     if frame is not None or unix_s is not None:
         which = f"{FRAME_PARAMETER}={frame}" if frame is not None else f"{TIME_PARAMETER}={unix_s!r}"
-        parameters, timeout_s = f"?{which};{WAIT_PARAMETER}={PICTURE_TIMEOUT_S:g}", PICTURE_TIMEOUT_S
+        parts, timeout_s = [which, f"{WAIT_PARAMETER}={PICTURE_TIMEOUT_S:g}"], PICTURE_TIMEOUT_S
+    if pixel is not None:
+        parts += [f"{key}={value!r}" for key, value in zip(PIXEL_PARAMETERS, pixel, strict=True)]
+    parameters = "?" + ";".join(parts) if parts else ""
     key = FEATURES.key(vehicle)
     dropped = dropped or DroppedMessages()
     if endpoint.startswith(SCHEME):

@@ -41,6 +41,7 @@ ARROWS: dict[str, set[str]] = {
     "onboard.georeferencing": {"estimation", "geometry", "navigation", "config"},
     "onboard.pipeline": {"georeferencing", "estimation", "vision", "geometry", "navigation", "events", "config"},
     "onboard.tracks": {"geometry", "events"},
+    "onboard.measured": {"geometry"},
     "onboard.spots": {"events", "config"},
     "onboard.foreign_clock": {"vision", "geometry", "navigation", "telemetry", "events", "config"},
     "onboard.link": {"events", "config"},
@@ -48,7 +49,7 @@ ARROWS: dict[str, set[str]] = {
     "onboard.replay": {
         "pipeline", "tracks", "spots", "camera", "telemetry", "storage", "events", "config",
     },
-    "onboard.service": {"pipeline", "tracks", "spots", "storage", "events", "config"},
+    "onboard.service": {"pipeline", "tracks", "measured", "spots", "storage", "events", "config"},
     "onboard.calibration": set(),
     "onboard.commands": {
         "calibration", "camera", "config", "events", "foreign_clock", "link", "pipeline", "replay", "service",

@@ -7,7 +7,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 # Sections that belong to single programs have pages of their own.
-PAGES = ("", "-budget", "-camera", "-clock", "-pins", "-seen", "-tracks", "-spots")
+PAGES = ("", "-budget", "-camera", "-clock", "-pins", "-seen", "-tracks", "-spots", "-measured")
 DOCUMENTS = [ROOT / "docs" / f"mathematics{part}.md" for part in PAGES]
 FOLDERS = ("contract", "onboard", "ground", "simulation", "benchmarks")
 # A formula's own number ends an indented line; between parentheses nothing but the number.

@@ -1,6 +1,7 @@
 """FeatureSet <-> bytes. docs/wire-format.md is the specification; section numbers below are its own.
 
-`encode` writes version 4.0 and sorts features by row; what `decode` returns encodes to the same bytes again.
+`encode` writes version 4.0, with a clicked pixel 4.1, and sorts features by row; what `decode` returns encodes to the
+same bytes again.
 """
 
 from __future__ import annotations
@@ -13,8 +14,15 @@ from typing import Any
 
 from contract.camera import Camera
 from contract.errors import CorruptPayload, NewerPayload, TruncatedPayload
-from contract.feature_set import COMMON_STATES, DepthSource, FeatureSet, HeightDatum, Status
+from contract.feature_set import (
+    COMMON_STATES,
+    DepthSource,
+    FeatureSet,
+    HeightDatum,
+    Status,
+)
 from contract.wire.byte_cursor import ByteCursor
+from contract.wire.clicked_code import decode_clicked, encode_clicked
 from contract.wire.common_code import common_from_numbers, common_numbers, shared_codes, shared_from_codes
 from contract.wire.covariance_code import sigma_code, sigma_from_code
 from contract.wire.feature_code import feature_numbers, features_from_numbers
@@ -22,7 +30,7 @@ from contract.wire.geometry_code import decode_shutter, encode_shutter, pose_fro
 from contract.wire.number_code import decode_numbers, encode_numbers
 
 MAGIC = b"PC"
-MAJOR, MINOR = 4, 0
+MAJOR, MINOR = 4, 1
 MAX_VEHICLE_BYTES = 32
 
 # Section 2: magic, version, length, flags, status, session, frame, revision, capture time, vehicle's length.
@@ -87,11 +95,14 @@ def encode(feature_set: FeatureSet) -> bytes:
         flags |= 0 if math.isnan(s.undulation_m) else _UNDULATION
         flags |= 0 if s.shutter is None else _ROLLING
         body += _encode_geometry(s, camera)
+        body += b"" if s.clicked is None else encode_clicked(s.clicked, camera)
+    elif s.clicked is not None:
+        raise ValueError(f"a set with status {s.status.value!r} carries no clicked pixel")
     elif len(s):
         raise ValueError(f"a set with status {s.status.value!r} carries no features, this one has {len(s)}")
     head = _HEAD.pack(
         MAGIC,
-        MAJOR << 4 | MINOR,
+        MAJOR << 4 | (0 if s.clicked is None else MINOR),
         _HEAD.size + len(body) + _CRC.size,
         flags,
         s.status.code,
@@ -118,6 +129,7 @@ def decode(payload: bytes) -> FeatureSet:
     vehicle = _vehicle(cursor, vehicle_bytes)
     camera = _decode_camera(cursor, bool(flags & _DISTORTED))
     geometry = _decode_geometry(cursor, camera, flags) if flags & _POSED else {}
+    clicked = decode_clicked(cursor, camera) if version & 15 and geometry else None
     if version & 15 <= MINOR and cursor.position != cursor.end:
         raise CorruptPayload(f"{cursor.end - cursor.position} bytes are left over")
     status = _status(status_code)
@@ -132,6 +144,7 @@ def decode(payload: bytes) -> FeatureSet:
         camera=camera,
         revision=revision,
         is_keyframe=bool(flags & _KEYFRAME),
+        clicked=clicked,
         **geometry,
     )
 

@@ -74,6 +74,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=age,
         help=f"refuse the newest picture if it is older; inf: never (default {MAX_AGE_S:g}, of a recording inf)",
     )
+    parser.add_argument(
+        "--interpolated",
+        action="store_true",
+        help="do not have the aircraft measure the clicked pixel itself, which takes up to 0.5 s",
+    )
     parser.add_argument("--format", choices=tuple(FORMATS), help="default: text, a batch always json")
     add_grid_arguments(parser)
 
@@ -118,7 +123,11 @@ def _clickers(args: argparse.Namespace) -> Iterator[tuple[AnyClicker, AnyClicker
             yield AskedClicker(link, args.vehicle, max_age_s), AskedClicker(link, args.vehicle, math.inf)
     else:
         source = source_of(args)
-        yield Clicker(source, max_age_s), Clicker(source, math.inf)
+        is_measured = not args.interpolated
+        yield (
+            Clicker(source, max_age_s, is_measured=is_measured),
+            Clicker(source, math.inf, is_measured=is_measured),
+        )
 
 
 def _run_batch(args: argparse.Namespace) -> int:

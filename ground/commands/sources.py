@@ -11,7 +11,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Protocol
 
-from contract.answer import EXPLANATIONS, Answer, Refusal
+from contract.answer import EXPLANATIONS, Answer, Fix, Refusal
 from contract.feature_set import FeatureSet, Status
 from contract.locate import Locator
 from contract.topics import ANY_VEHICLE, DEFAULT_ENDPOINT, TIME_TOLERANCE_S
@@ -22,6 +22,7 @@ from ground.freshness import Later, Reply, aged, too_old
 from ground.link_options import UsageError, add_tls_arguments, endpoint_of, tls_of
 from ground.recording import Recording
 
+NOT_TRIED = "the aircraft did not try"  # older software, tracks.enabled = false, or too much was asked at once
 NO_NAMES = "--file needs --from SESSION.mcap: picture names do not cross the link; use --frame or --time"
 
 
@@ -49,8 +50,14 @@ class RecordedSource:
         self.recording = opened(path)
         self.vehicle = vehicle_of(vehicle, self.recording.vehicles)
 
-    def reply(self, frame: int | None = None, file: str | None = None, unix_s: float | None = None) -> Reply:
-        """The set of a frame, a file or a time, or the newest; with its age."""
+    def reply(
+        self,
+        frame: int | None = None,
+        file: str | None = None,
+        unix_s: float | None = None,
+        pixel: tuple[float, float] | None = None,
+    ) -> Reply:
+        """The set of a frame, a file or a time, or the newest; with its age. No pixel of it is measured."""
         recording, vehicle = self.recording, self.vehicle
         later = None
         if file is not None:
@@ -103,8 +110,14 @@ class LinkSource:
         self._endpoint = endpoint_of(args, self._tls)
         self._vehicle = args.vehicle
 
-    def reply(self, frame: int | None = None, file: str | None = None, unix_s: float | None = None) -> Reply:
-        """The set of a frame or a time, or the newest; with its age."""
+    def reply(
+        self,
+        frame: int | None = None,
+        file: str | None = None,
+        unix_s: float | None = None,
+        pixel: tuple[float, float] | None = None,
+    ) -> Reply:
+        """The set of a frame or a time, or the newest; with its age. `pixel` is to be measured by itself."""
         if file is not None:
             raise UsageError(NO_NAMES)
         from ground.client import inquire  # noqa: PLC0415  zenoh is loaded only where there is a link
@@ -116,6 +129,7 @@ class LinkSource:
                 self._vehicle or ANY_VEHICLE,
                 frame=frame,
                 unix_s=unix_s,
+                pixel=pixel,
                 tls=self._tls,
                 is_sole=self._vehicle is None,
                 dropped=dropped,
@@ -138,10 +152,14 @@ def source_of(args: argparse.Namespace) -> Source:
 
 
 class Clicker:
-    """Answers clicks on a source's pictures; a set that is clicked again is not solved again."""
+    """Answers clicks on a source's pictures; a set that is clicked again is not solved again.
 
-    def __init__(self, source: Source, max_age_s: float) -> None:
+    `is_measured`: the aircraft is asked to measure each clicked pixel by itself.
+    """
+
+    def __init__(self, source: Source, max_age_s: float, *, is_measured: bool = False) -> None:
         self._source = source
+        self._is_measured = is_measured and not source.is_recorded
         self._max_age_s = max_age_s
         self._solved = lru_cache(maxsize=64)(_solved)
 
@@ -155,12 +173,15 @@ class Clicker:
         unix_s: float | None = None,
     ) -> tuple[Answer, Locator | None]:
         """The answer, and what gave it, if a set did."""
-        reply = self._source.reply(frame, file, unix_s)
+        reply = self._source.reply(frame, file, unix_s, (u_px, v_px) if self._is_measured else None)
         found = reply.fresh(self._max_age_s)
         if isinstance(found, Refusal):
             return found, None
         locator = self._solved(_Known(found))
-        return aged(locator.locate((u_px, v_px)), reply.age_s), locator
+        answer = aged(locator.locate((u_px, v_px)), reply.age_s)
+        if self._is_measured and found.clicked is None and isinstance(answer, Fix):
+            answer = replace(answer, unmeasured=NOT_TRIED)
+        return answer, locator
 
 
 class AnsweringLink(Protocol):
@@ -212,7 +233,7 @@ class _Known:
 
     def __init__(self, feature_set: FeatureSet) -> None:
         self.feature_set = s = feature_set
-        self._key = s.vehicle, s.session, s.frame, s.revision, s.capture_unix_ns
+        self._key = s.vehicle, s.session, s.frame, s.revision, s.capture_unix_ns, s.clicked
 
     def __hash__(self) -> int:
         return hash(self._key)

@@ -34,6 +34,7 @@ from onboard.pipeline.pipeline import Pipeline
 from onboard.service import journal
 from onboard.service.daemon import Daemon, SignalOrders
 from onboard.service.host import cpu_temperature_c
+from onboard.service.measure_thread import MeasureThread
 from onboard.service.prometheus import PrometheusServer
 from onboard.service.reports import Report
 from onboard.service.sd_notify import Notifier
@@ -112,7 +113,7 @@ def open_parts(config: Config, clock: SessionClock | None = None, open_camera: O
             threads.append(pictures.thread)
         optics = load_second_camera(config) if config.spots.enabled and config.camera.thermal.is_live else None
         tracks, (spots, second) = _tracks(config, link), _spots(config, link, clock, optics)
-        for one in (tracks, spots, second):
+        for one in (tracks, _measured(config, link), spots, second):
             if one is not None:
                 sinks.append(one)
                 threads.append(one.thread)
@@ -174,6 +175,15 @@ def _tracks(config: Config, link: Publisher) -> TrackThread | None:
     tracks = TrackThread(config, [lambda _, payload: link.publish_tracks(payload)])
     link.follow = tracks.answer
     return tracks
+
+
+def _measured(config: Config, link: Publisher) -> MeasureThread | None:
+    """What measures clicked pixels, in the pictures that things are followed in."""
+    if not config.tracks.enabled:
+        return None
+    measured = MeasureThread(config)
+    link.measure = measured.measure
+    return measured
 
 
 def _spots(

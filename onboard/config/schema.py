@@ -347,9 +347,9 @@ class PictureConfig(Section):
 
 
 class TracksConfig(Section):
-    """Things that move, followed from a click on (pc-ground track)."""
+    """Pictures that are kept: things that move are followed in them (pc-ground track), clicked pixels are measured."""
 
-    enabled: bool = choice(True, "follow what is asked for")
+    enabled: bool = choice(True, "follow what is asked for, and measure clicked pixels")
     keep_mb: float = quantity(48.0, 8.0, 4096.0, "MB", "of pictures kept in memory, so that a click may be seconds old")
 
 

@@ -12,7 +12,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from types import TracebackType
 from typing import Self
@@ -34,6 +34,7 @@ from contract.topics import (
     FOLLOW,
     FRAME_PARAMETER,
     PICTURE,
+    PIXEL_PARAMETERS,
     QUERY,
     SPOTS,
     STATUS,
@@ -155,6 +156,8 @@ class Publisher:
         self._reports: dict[Kind, bytes] = {}  # the newest of tracks and of spots, until they have gone
         # Answers queries that begin, end and list tracks: a payload, and whether it is a refusal.
         self.follow: Callable[[str], tuple[bytes, bool]] = not_followed
+        # Measures a pixel of a packet's set and hands the set over with it, or None; False if that cannot be done now.
+        self.measure: Callable[[bytes, tuple[float, float], Callable[[FeatureSet | None], object]], bool] = not_measured
         self._is_closed = self._has_news = False
         self.watches: list[Callable[[Offer[bytes]], None]] = []  # shown every set as it is made
         self.sent = 0  # sets put on the link, without those asked for
@@ -410,13 +413,26 @@ class Publisher:
         for waiting in [w for w in self._queries if now_s > w.until_s - ANSWER_MARGIN_S]:
             self._queries.remove(waiting)
             waiting.query.drop()  # type: ignore[no-untyped-call]
+        gone: set[int] = set()
         for parked in self._parked:
             is_made, is_late = parked.frame not in self._pending, now_s > parked.until_s - PENDING_MARGIN_S
             if is_made or is_late:
                 found = self._answer(parked.asked) if is_made else not_placed(self._vehicle, parked.frame)
-                self._queries.append(_Waiting(parked.query, self._key, found, parked.until_s, Kind.REPLY))
-        queued = {id(waiting.query) for waiting in self._queries}
-        self._parked = [parked for parked in self._parked if id(parked.query) not in queued]
+                if not self._is_measured(parked.query, parked.asked, found, parked.until_s):
+                    self._queries.append(_Waiting(parked.query, self._key, found, parked.until_s, Kind.REPLY))
+                gone.add(id(parked.query))
+        self._parked = [parked for parked in self._parked if id(parked.query) not in gone]
+
+    def _is_measured(self, query: zenoh.Query, asked: Question, found: Answer, until_s: float) -> bool:
+        """Whether a pixel is being measured: then the query is answered when it has been."""
+        if asked.pixel is None or found.is_error:
+            return False
+
+        def done(measured: FeatureSet | None) -> None:
+            payload = found.payload if measured is None else one_packet(measured)
+            self._wait_to_answer(query, self._key, replace(found, payload=payload), Kind.REPLY, until_s)
+
+        return self.measure(found.payload, asked.pixel, done)
 
     def _answer(self, asked: Question) -> Answer:
         return answer(self._history, asked, self._vehicle, self._status, self._set_clock)
@@ -424,7 +440,8 @@ class Publisher:
     def _asked(self, query: zenoh.Query) -> None:
         """A set, or a Status and whose it is. A queryable that raised would look like an absent one."""
         parameters = query.parameters
-        asked = Question(parameters.get(FRAME_PARAMETER), parameters.get(TIME_PARAMETER), time.monotonic_ns())
+        pixel = (parameters.get(key) for key in PIXEL_PARAMETERS)
+        asked = Question(parameters.get(FRAME_PARAMETER), parameters.get(TIME_PARAMETER), time.monotonic_ns(), *pixel)
         until_s = time.monotonic() + patience_s(parameters.get(WAIT_PARAMETER))
         with self._changed:
             frame = asked.pending(self._history, self._pending)
@@ -432,7 +449,8 @@ class Publisher:
                 self._parked.append(_Parked(query, asked, frame, until_s))
                 return
             found = self._answer(asked)
-        self._wait_to_answer(query, self._key, found, Kind.REPLY, until_s)
+        if not self._is_measured(query, asked, found, until_s):
+            self._wait_to_answer(query, self._key, found, Kind.REPLY, until_s)
 
     def _asked_for_status(self, query: zenoh.Query) -> None:
         is_detailed = DETAIL_PARAMETER in query.parameters
@@ -465,6 +483,11 @@ def not_followed(_: str) -> tuple[bytes, bool]:
         "disabled",
         "this aircraft does not follow things: for its next flight set tracks.enabled = true in its configuration",
     ), True
+
+
+def not_measured(payload: bytes, uv_px: tuple[float, float], done: Callable[[FeatureSet | None], object]) -> bool:
+    """What an aircraft does that keeps no pictures."""
+    return False
 
 
 def _reply(waiting: _Waiting) -> None:

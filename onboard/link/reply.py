@@ -18,6 +18,7 @@ from onboard.link.pending_pictures import PendingPictures
 
 WELL = "ok"
 MOST_PATIENCE_S = 30.0
+MOST_PX = 65535.0  # that a picture has
 PENDING = "placing pictures"
 # States of the daemon in which a missing first set is the camera's fault.
 CAMERA_STATES = ("camera lost", "camera silent", "camera frozen")
@@ -44,6 +45,8 @@ class Question:
     frame: str | None
     unix_s: str | None
     monotonic_ns: int
+    u: str | None = None
+    v: str | None = None
 
     @property
     def frame_number(self) -> int | None:
@@ -57,6 +60,14 @@ class Question:
         """The time asked for; None without one, and for what is none."""
         unix_s = math.nan if self.unix_s is None else _number(self.unix_s)
         return unix_s if math.isfinite(unix_s) else None
+
+    @property
+    def pixel(self) -> tuple[float, float] | None:
+        """The pixel that is to be measured; None without one, and for what is none."""
+        if self.u is None or self.v is None:
+            return None
+        u, v = _number(self.u), _number(self.v)
+        return (u, v) if -0.5 <= u <= MOST_PX and -0.5 <= v <= MOST_PX else None
 
     def pending(self, history: History[bytes], pictures: PendingPictures) -> int | None:
         """The picture that is asked for, if it was taken and has no set yet, nor another in its place has."""

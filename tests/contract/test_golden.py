@@ -1,5 +1,6 @@
-"""The wire format of version 4.0, frozen: golden bytes next to what they mean."""
+"""The wire format of versions 4.0 and 4.1, frozen: golden bytes next to what they mean."""
 
+import dataclasses
 import json
 import struct
 import zlib
@@ -32,8 +33,11 @@ def assert_close(got: Any, want: Any, where: str) -> None:
 
 
 def test_there_are_golden_payloads_of_every_kind() -> None:
-    assert sorted(NAMES) == ["a_hundred_features", "plane_only", "refused", "rolling_shutter", "twelve_features"]
-    assert {(GOLDEN / f"{name}.bin").read_bytes()[2] for name in NAMES} == {0x40}
+    clicked = ["measured_pixel", "unmeasured_pixel"]
+    plain = ["a_hundred_features", "plane_only", "refused", "rolling_shutter", "twelve_features"]
+    assert sorted(NAMES) == sorted([*plain, *clicked])
+    assert {(GOLDEN / f"{name}.bin").read_bytes()[2] for name in plain} == {0x40}
+    assert {(GOLDEN / f"{name}.bin").read_bytes()[2] for name in clicked} == {0x41}
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -128,3 +132,13 @@ def test_the_rows_of_a_rolling_shutter_lie_where_the_document_says() -> None:
     assert 1e-12 * np.exp(0.0006 * (sigma - 1.0)) == pytest.approx(want["sigma_readout_s"], rel=1e-12)
     assert [x / 2000 for x in steps[:3]] == want["rate_cam_rad_s"] == [0.12, -0.31, 0.05]
     assert [x / 100 for x in steps[3:]] == want["velocity_cam_m_s"] == [3.5, -19.2, 1.1]
+
+
+def test_a_clicked_pixel_is_appended_where_a_reader_of_4_0_skips_it() -> None:
+    """Section 6.1: behind everything that version 4.0 has, which stays what it was byte for byte."""
+    measured, unmeasured = ((GOLDEN / f"{name}.bin").read_bytes() for name in ("measured_pixel", "unmeasured_pixel"))
+    plain = encode(dataclasses.replace(decode(measured), clicked=None))
+    assert plain[2] == 0x40 and (len(measured) - len(plain), len(unmeasured) - len(plain)) == (15, 9)
+    assert measured[5:-19] == unmeasured[5:-13] == plain[5:-4]
+    assert struct.unpack_from("<Bff", measured, len(measured) - 19) == (1, 300.5, 211.25)
+    assert struct.unpack_from("<Bff", unmeasured, len(unmeasured) - 13) == (6, 300.5, 211.25)

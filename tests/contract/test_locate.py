@@ -1,4 +1,5 @@
 import dataclasses
+import json
 import math
 
 import numpy as np
@@ -8,12 +9,12 @@ from hypothesis import strategies as st
 
 from contract.answer import CHI2_2, Ellipse, Fix, Refusal
 from contract.camera import Camera
-from contract.feature_set import DepthSource, FeatureSet, HeightDatum, Status
+from contract.feature_set import ClickedPixel, DepthSource, FeatureSet, HeightDatum, Measured, Status
 from contract.locate import Locator, locate
 from contract.rolling_shutter import RollingShutter
 from contract.wire.codec import decode, encode
 from tests.contract.sets import feature_sets
-from tests.ground.worlds import CAMERA, ORIGIN, Errors, build
+from tests.ground.worlds import CAMERA, ORIGIN, Errors, World, build
 
 EXACT = Errors(feature_relative=1e-7, relief_relative=0.0, roughness=0.0, common=False)
 
@@ -325,3 +326,62 @@ def test_a_set_that_refuses_answers_none_of_many_pixels() -> None:
     refused = FeatureSet("v", 1, 1, 1, Status.TURNING, CAMERA)
     found = Locator(refused).answers(np.full((7, 2), 100.0))
     assert not found.is_answered.any() and np.isnan(found.offset_enu_m).all() and found.by_pixel_m.shape == (7, 3, 2)
+
+
+def measured_at(world: World, index: int, depth_share: float, sigma: float = 1e-3) -> FeatureSet:
+    """The world's set with one of its clicks measured, at this share of the distance to the ground there."""
+    uv = world.clicks_px[index]
+    ground = answered(world.feature_set, uv).offset_enu_m
+    w = 1.0 / (depth_share * float((world.feature_set.R_enu_cam.T @ ground)[2]))
+    pixel = ClickedPixel(float(np.float32(uv[0])), float(np.float32(uv[1])), Measured.MEASURED, w, sigma * w)
+    return dataclasses.replace(world.feature_set, clicked=pixel)
+
+
+def test_a_measured_pixel_is_where_it_was_measured_and_bends_nothing_next_to_it() -> None:
+    world = build(np.random.default_rng(31), EXACT, pitch_deg=-60.0)
+    uv = world.clicks_px[0]
+    roof, ground = measured_at(world, 0, 0.9), answered(world.feature_set, uv)
+    fix = answered(roof, uv)
+    assert fix.method == "measured"
+    np.testing.assert_allclose(fix.offset_enu_m, 0.9 * ground.offset_enu_m, rtol=1e-6)
+    for step in ([0.6, 0.0], [0.0, -1.0], [12.0, 5.0]):
+        one, other = answered(roof, uv + step), answered(world.feature_set, uv + step)
+        assert one.method == "interpolated" and one.to_json() == other.to_json()
+    again = answered(decode(encode(roof)), uv)
+    assert again.method == "measured"
+    np.testing.assert_allclose(again.offset_enu_m, fix.offset_enu_m, atol=0.02)
+
+
+@pytest.mark.parametrize("pitch_deg", [-90.0, -50.0])
+def test_the_height_above_the_ground_is_that_of_the_ground_below(pitch_deg: float) -> None:
+    world = build(np.random.default_rng(32), EXACT, pitch_deg=pitch_deg)
+    fix = answered(measured_at(world, 0, 0.92), world.clicks_px[0])
+    level_m = answered(world.feature_set, world.clicks_px[0]).offset_enu_m[2]  # the world is level
+    assert fix.above_ground_m == pytest.approx(fix.offset_enu_m[2] - level_m, abs=0.02)
+    assert fix.sigma_above_ground_m is not None and fix.sigma_above_ground_m < 0.005 * abs(level_m)
+    assert '"above_ground_m": ' in fix.to_json() and "above the ground" in fix.to_text()
+
+
+@pytest.mark.parametrize("measured", [m for m in Measured if m is not Measured.MEASURED])
+def test_a_pixel_that_was_not_measured_is_answered_as_ever_with_the_reason(measured: Measured) -> None:
+    world = build(np.random.default_rng(34))
+    u, v = (float(np.float32(c)) for c in world.clicks_px[0])
+    asked = dataclasses.replace(world.feature_set, clicked=ClickedPixel(u, v, measured))
+    fix, plain = answered(asked, (u, v)), answered(world.feature_set, (u, v))
+    assert fix.unmeasured == measured.value and fix.method == plain.method
+    np.testing.assert_array_equal(fix.offset_enu_m, plain.offset_enu_m)
+    assert json.loads(fix.to_json())["unmeasured"] == measured.value
+
+
+def test_the_difference_of_a_measured_and_another_click_leaves_out_what_they_share() -> None:
+    world = build(np.random.default_rng(35))
+    locator = Locator(measured_at(world, 0, 0.95))
+    one, two = (world.clicks_px[i] for i in (0, 1))
+    apart = locator.difference_covariance(one, two)
+    assert apart is not None
+    separate = sum(np.trace(f.covariance_enu_m2) for f in map(locator.locate, (one, two)) if isinstance(f, Fix))
+    assert 0.0 < np.trace(apart) < separate
+    same = locator.difference_covariance(one, one)
+    assert same is not None and np.abs(same).max() < 1e-6
+    parts = locator.error_parts(one)
+    assert parts is not None and parts.between_features == 0.0 and parts.feature_noise == pytest.approx(1e-3, rel=0.02)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from contract.feature_set import DepthSource, FeatureSet, HeightDatum, Status
+from contract.feature_set import ClickedPixel, DepthSource, FeatureSet, HeightDatum, Measured, Status
 from contract.rolling_shutter import RollingShutter
 from contract.wire.codec import decode, encode
 from tests.contract.sets import DISTORTION, plain_set
@@ -39,6 +39,12 @@ def cases() -> dict[str, FeatureSet]:
             plain_set(12, seed=5),
             shutter=RollingShutter(-0.021, np.array([0.12, -0.31, 0.05]), np.array([3.5, -19.2, 1.1]), 0.0035),
         ),
+        "measured_pixel": dataclasses.replace(
+            plain_set(12, seed=6), clicked=ClickedPixel(300.5, 211.25, Measured.MEASURED, 0.0041, 1.3e-6)
+        ),
+        "unmeasured_pixel": dataclasses.replace(
+            plain_set(12, seed=6), clicked=ClickedPixel(300.5, 211.25, Measured.REPEATED)
+        ),
         "refused": FeatureSet("uav-1", 5, 6, 1_525_226_625_500_000_000, Status.LOW_PARALLAX, plain.camera, revision=1),
     }
 
@@ -51,7 +57,7 @@ def plain_json(feature_set: FeatureSet) -> dict[str, Any]:
             return value.tolist()
         if dataclasses.is_dataclass(value):
             return {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
-        if isinstance(value, Status | HeightDatum | DepthSource):
+        if isinstance(value, Status | HeightDatum | DepthSource | Measured):
             return value.value
         if isinstance(value, float) and math.isnan(value):
             return None

@@ -1,0 +1,232 @@
+"""Clicked pixels measured by themselves, against what the features around them give, on simulated flights with truth.
+
+    python -m benchmarks.measured_clicks [--scenes down-town,ahead-town,...] [--clicks 400] [--seed 0]
+
+Each flight is 10 s at 200 m above a world with edges (simulation/raster.py), 640x480 and 60 degrees wide, four pictures
+a second; the whole pipeline makes the sets. Clicked are pixels of pictures in the middle of the flight, in their last
+sets, with all pictures kept: on roofs and trees, on ground within 6 m of them, and on open ground. Errors are without
+what all answers of a picture share: along the true ray, less the three modes of inverse depth that the set's own
+features show against the truth (9.4). `inside`: share within 1.645 of the stated own sigma (90 %), `> 3`: beyond three.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from benchmarks.machine import describe, load, table, verdict
+
+# isort: split
+import numpy as np
+from numpy.typing import NDArray
+
+from contract.answer import Fix
+from contract.camera import Camera
+from contract.feature_set import FeatureSet
+from contract.locate import Locator
+from onboard.config.schema import load_config
+from onboard.events.types import Frame
+from onboard.measured.kept_pictures import KeptPictures
+from onboard.measured.question import Questions
+from onboard.pipeline.pipeline import Pipeline
+from onboard.replay.runner import Flight
+from simulation.flight import DescribedSpec
+from simulation.paths import PathSpec
+from simulation.session import SessionSpec, fly
+from simulation.terrain import TerrainSpec
+from simulation.texture import TextureSpec
+from simulation.truth import Truth
+
+Array = NDArray[np.float64]
+
+RATE_HZ, SECONDS, HEIGHT_M, SPEED_M_S = 4.0, 10.0, 200.0, 15.0
+PITCH_DEG = {"down": -90.0, "ahead": -45.0}
+PICTURES = 6  # that are clicked
+NEAR_M = 6.0
+KINDS = ("roofs, trees", "ground near them", "open ground")
+SHARE_GOAL, MS_GOAL = 0.85, 15.0
+
+
+@dataclass(frozen=True)
+class Scored:
+    """One click: errors (3,) east, north, up of both answers, one sigma of the measured height, or why not."""
+
+    kind: str
+    frame: int
+    interpolated_m: Array
+    measured_m: Array | None
+    sigma_m: float
+    why: str
+    ms: float
+
+
+@dataclass
+class Scene:
+    """A kind of flight and what became of its clicks."""
+
+    name: str
+    clicks: list[Scored] = field(default_factory=list)
+
+
+def main() -> int:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scenes", default="down-town,ahead-town,ahead-forest,down-none,down-stripes")
+    parser.add_argument("--clicks", type=int, default=300, help="of each scene")
+    parser.add_argument("--seed", type=int, default=0)
+    args = parser.parse_args()
+    print(f"{describe()}; {load()}\n")
+    rows: list[tuple[str, ...]] = []
+    for name in args.scenes.split(","):
+        scene = measure(name, args.clicks, args.seed)
+        for kind in KINDS:
+            rows += row(scene, kind)
+        why = [c.why for c in scene.clicks if c.why]
+        counts = ", ".join(f"{word} {why.count(word)}" for word in sorted(set(why)))
+        ms = float(np.median([c.ms for c in scene.clicks]))
+        print(
+            f"{name}: {len(scene.clicks)} clicks, {ms:.1f} ms each ({verdict(ms <= MS_GOAL)}); not: {counts or '-'}",
+            flush=True,
+        )
+    head = ("", "clicks", "measured", "up med / 90 %", "interpolated", "horizontal", "interpolated", "inside", "> 3")
+    print("\n" + table(head, rows))
+    return 0
+
+
+def spec_of(name: str, seed: int) -> SessionSpec:
+    """A scene by its name: where the camera looks, and over what."""
+    look, ground = name.split("-")
+    kind = ground if ground in ("town", "forest") else "none"
+    return SessionSpec(
+        DescribedSpec(PathSpec("straight", speed_m_s=SPEED_M_S, height_m=HEIGHT_M), seed=seed),
+        seconds=SECONDS,
+        rate_hz=RATE_HZ,
+        camera=Camera.from_field_of_view(640, 480, 60.0),
+        mount_deg=(0.0, PITCH_DEG[look], 0.0),
+        terrain=TerrainSpec(relief_m=5.0, obstacles=kind, obstacle_height_m=14.0, obstacle_cell_m=32.0, seed=seed),
+        texture=TextureSpec("stripes" if ground == "stripes" else "land", seed=seed),
+        seed=seed,
+    )
+
+
+def measure(name: str, clicks: int, seed: int) -> Scene:
+    """Draw the flight, fly it, and click on it."""
+    with tempfile.TemporaryDirectory() as folder:
+        flight = Path(folder) / "flight"
+        truth = fly(spec_of(name, seed), flight)
+        pictures, sets = kept(flight)
+    return Scene(name, list(clicked(truth, pictures, sets, clicks, seed)))
+
+
+def kept(flight: Path) -> tuple[KeptPictures, dict[int, FeatureSet]]:
+    """All pictures of a flight's folder, and their last sets."""
+    config, camera = load_config(flight / "config.toml"), Camera.from_json(flight / "camera.json")
+    recorded = Flight.open(config, camera, flight / "frames", flight / "telemetry.tlog", flight / "stamps.csv")
+    pipeline, images = Pipeline(config, recorded.camera), {}
+    sets: dict[int, FeatureSet] = {}
+    for _, event in recorded.events():
+        if isinstance(event, Frame):
+            images[event.index] = event.image
+        sets |= {s.frame: s for s in pipeline.handle(event) if s.is_ok}
+    sets |= {s.frame: s for s in pipeline.finish() if s.is_ok}
+    pictures = KeptPictures(1_000_000_000)
+    for frame in sorted(sets):
+        if (image := images[frame]) is not None:
+            pictures.add(image, sets[frame])
+    return pictures, sets
+
+
+def clicked(
+    truth: Truth, pictures: KeptPictures, sets: dict[int, FeatureSet], count: int, seed: int
+) -> Iterator[Scored]:
+    """Clicks evenly over the pictures in the middle: as many of each kind as there are."""
+    rng, questions = np.random.default_rng([seed, 5]), Questions()
+    frames = sorted(sets)[len(sets) // 4 : -len(sets) // 4]
+    for frame in [frames[i] for i in np.linspace(0, len(frames) - 1, PICTURES).astype(int)]:
+        s = sets[frame]
+        uv = rng.uniform(10.0, np.subtract(s.camera.size_px, 11.0), (count // PICTURES, 2)).round(1)
+        kinds, depth_m = kinds_of(truth, frame, uv)
+        rays, _ = s.camera.unproject(uv)
+        shared = shared_of(truth, frame, s)
+        locator = Locator(s)
+        for kind, ray, true_m, pixel in zip(kinds, rays, depth_m, uv, strict=True):
+            began_s = time.thread_time()
+            answer = questions.measured_set(
+                s, (float(pixel[0]), float(pixel[1])), pictures.frame(s.session, frame), pictures.others(frame)
+            ).clicked
+            ms = 1e3 * (time.thread_time() - began_s)
+            plain = locator.locate(pixel)
+            assert answer is not None
+            if not isinstance(plain, Fix):
+                continue
+            w_plain = 1.0 / float((s.R_enu_cam.T @ plain.offset_enu_m)[2])
+            along = truth.poses[frame].R_enu_cam @ ray * true_m
+            off = float(np.array([1.0, *ray[:2]]) @ shared)
+            # Of a relative error e of inverse depth the place moves by -e along its ray.
+            theirs = -along * (w_plain * true_m - 1.0 - off)
+            if not answer.is_measured:
+                yield Scored(kind, frame, theirs, None, 0.0, answer.measured.value, ms)
+                continue
+            ours = -along * (answer.inverse_depth_per_m * true_m - 1.0 - off)
+            sigma_m = abs(along[2]) * answer.sigma_per_m / answer.inverse_depth_per_m
+            yield Scored(kind, frame, theirs, ours, sigma_m, "", ms)
+
+
+def shared_of(truth: Truth, frame: int, s: FeatureSet) -> Array:
+    """The modes (3,) of relative inverse depth by which a set's features are off together: half of them at most lie."""
+    points = truth.ground(frame, s.uv_px)
+    depth_m = ((points.enu_m - truth.poses[frame].centre_m) @ truth.poses[frame].R_enu_cam)[:, 2]
+    off = s.inverse_depth_per_m * depth_m - 1.0
+    H = np.column_stack([np.ones(len(s)), s.camera.unproject(s.uv_px)[0][:, :2]])
+    weight = np.where(points.is_valid, 1.0, 0.0)
+    modes = np.zeros(3)
+    for _ in range(20):
+        modes = np.linalg.lstsq(H * np.sqrt(weight)[:, None], off * np.sqrt(weight), rcond=None)[0]
+        left = np.abs(off - H @ modes)
+        weight = np.where(points.is_valid, 1.0 / np.maximum(left, 2e-4), 0.0)  # least absolute values: corners of roofs
+    return np.asarray(modes, float)
+
+
+def kinds_of(truth: Truth, frame: int, uv: Array) -> tuple[list[str], Array]:
+    """Of pixels (N, 2): what they show, and how far that truly is (N,) along the camera's axis, m."""
+    enu_m = truth.ground(frame, uv).enu_m
+    lift = truth.terrain.obstacle_m(enu_m[:, 0], enu_m[:, 1])
+    angles = np.arange(8) * np.pi / 4.0
+    near = [
+        truth.terrain.obstacle_m(enu_m[:, 0] + r * np.cos(a), enu_m[:, 1] + r * np.sin(a))
+        for a in angles
+        for r in (0.5 * NEAR_M, NEAR_M)
+    ]
+    is_near = np.max(near, axis=0) > 0.5
+    kinds = [KINDS[0] if up > 0.5 else KINDS[1] if close else KINDS[2] for up, close in zip(lift, is_near, strict=True)]
+    pose = truth.poses[frame]
+    return kinds, ((enu_m - pose.centre_m) @ pose.R_enu_cam)[:, 2]
+
+
+def row(scene: Scene, kind: str) -> list[tuple[str, ...]]:
+    """A line of the table; none where there are no such clicks."""
+    clicks = [c for c in scene.clicks if c.kind == kind]
+    measured = [c for c in clicks if c.measured_m is not None]
+    if len(measured) < 5:
+        return []
+    ours = np.array([c.measured_m for c in measured])
+    theirs = np.array([c.interpolated_m for c in measured])
+    z = np.abs(ours[:, 2]) / np.array([c.sigma_m for c in measured])
+    share = len(measured) / len(clicks)
+
+    def two(values: Array) -> str:
+        return "{:.2f} / {:.2f} m".format(*np.quantile(values, [0.5, 0.9]))
+
+    return [(
+        f"{scene.name}: {kind}", str(len(clicks)), f"{share:.0%}", two(np.abs(ours[:, 2])), two(np.abs(theirs[:, 2])),
+        two(np.hypot(ours[:, 0], ours[:, 1])), two(np.hypot(theirs[:, 0], theirs[:, 1])),
+        f"{np.mean(z < 1.645):.1%}", f"{np.mean(z > 3.0):.1%}",
+    )]  # fmt: skip
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,160 @@
+"""A clicked pixel -> its own inverse depth with an error of its own, or why it has none. (29.1) to (29.13)"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from contract.feature_set import Measured
+from onboard.measured.matching import Match, matched, normalised
+from onboard.measured.patches import HALF_PX, OFFSETS, SIDE_PX, Patch, warped
+from onboard.measured.sweep import CORE, LEAST_VIEWS, SMALL, WHOLE, WINDOWS, agreement, steps_between, swept
+from onboard.measured.views import Features, View
+
+Array = NDArray[np.float64]
+
+LEAST_AGREEMENT = 0.7
+CLEAR_AGREEMENT = 0.92  # above it patches that face the camera are not tried too
+SEES = 0.6  # correlation of a view that sees the place
+SAME_STEPS = 3.5  # of the sweep, within which two maxima are of one surface
+UNEVEN_STEPS = 6.0
+PARABOLA_STEPS = 0.15  # one sigma of where a window's maximum lies between steps, as a parabola has it
+TWIN = 0.05  # of correlation: a maximum that is less than this below the best may as well be it
+FLAT_GREY = 4.0  # standard deviation of a patch without texture
+ABOUT = np.exp(-0.5 * (OFFSETS**2).sum(axis=1) / 1.2**2)  # what counts as the click's own pixels
+NEXT = slice(HALF_PX - 1, HALF_PX + 2)  # rows and columns of the click and of the pixels next to it
+LEAST_NOISE = 1.0  # grey levels squared
+CORRELATED = 3.0  # pixels of a picture that are one measurement
+CLEAR = 5.0  # natural logarithm of how much likelier one surface must be than another
+
+
+@dataclass(frozen=True, eq=False)
+class Sought:
+    """Where the surface may be: inverse depths from the farthest to the nearest (1/m), and the slope of the ground
+    there, d ln w / d (x, y).
+    """
+
+    far_per_m: float
+    near_per_m: float
+    slope: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Swept:
+    """What every window about the click states: its best inverse depth w (W,), how well the views agree there (W,), and
+    which of them see it (W, V). `step` is the sweep's.
+    """
+
+    w: Array
+    agreement: Array
+    sees: NDArray[np.bool_]
+    slope: Array
+    step: float
+
+
+def measure(patch: Patch, views: Sequence[View], features: Features, sought: Sought) -> Match | Measured:
+    """Match the patch in the views and triangulate it; else why that cannot be done."""
+    if len(views) < LEAST_VIEWS:
+        return Measured.FEW_VIEWS
+    found = _sweep(patch, views, sought)
+    if isinstance(found, Measured):
+        return found
+    window = _own(patch, views, found)
+    if window is None:
+        return Measured.EDGE
+    seeing = [view for view, sees in zip(views, found.sees[window], strict=True) if sees]
+    if len(seeing) < LEAST_VIEWS:
+        return Measured.HIDDEN
+    w = float(found.w[window])
+    match = matched(patch, seeing, features, (w, found.slope), WINDOWS[:, window] > 0.0)
+    if match is None:
+        return Measured.NO_TEXTURE
+    # Windows about the click that see the same surface show how uneven it is next to the click. (29.12)
+    near = np.abs(found.w[:SMALL] - w) < UNEVEN_STEPS * found.step
+    uneven = float(np.mean((found.w[:SMALL][near] - match.inverse_depth_per_m) ** 2)) if near.any() else 0.0
+    count = WINDOWS.sum(axis=0)
+    alone = match.by_pictures * float(count[window] / count[0]) + (PARABOLA_STEPS * found.step) ** 2
+    return replace(match, by_surface=max(uneven - alone, 0.0))
+
+
+def _sweep(patch: Patch, views: Sequence[View], sought: Sought) -> _Swept | Measured:
+    w = steps_between(patch, views, sought.far_per_m, sought.near_per_m, sought.slope)
+    each, slope = swept(patch, views, w, sought.slope), sought.slope
+    agreed = agreement(each)
+    if agreed[:, 0].max() < CLEAR_AGREEMENT:  # a wall, perhaps: a patch that faces the camera
+        facing = swept(patch, views, w, np.zeros(2))
+        if (other := agreement(facing))[:, 0].max() > agreed[:, 0].max():
+            each, agreed, slope = facing, other, np.zeros(2)
+    best = agreed.argmax(axis=0)
+    window = np.arange(len(best))
+    top = agreed[best, window]
+    if top.max() < LEAST_AGREEMENT:
+        return Measured.NO_TEXTURE if float(patch.values.std()) < FLAT_GREY else Measured.HIDDEN
+    if _is_repeated(agreed[:, 0], int(best[0])) and _is_repeated(agreed[:, WHOLE], int(best[WHOLE])):
+        return Measured.REPEATED
+    sees = (each[:, best, window] > SEES).T
+    return _Swept(w[best] + (w[1] - w[0]) * _part(agreed, best), top, sees, slope, float(w[1] - w[0]))
+
+
+def _part(agreed: Array, best: NDArray[np.intp]) -> Array:
+    """Of a step, where between its neighbours each window's maximum lies: that of a parabola."""
+    window = np.arange(agreed.shape[1])
+    k = np.clip(best, 1, len(agreed) - 2)
+    before, at, after = (agreed[k + i, window] for i in (-1, 0, 1))
+    bend = before - 2.0 * at + after
+    part = 0.5 * (before - after) / np.where(bend < -1e-9, bend, -1.0)
+    return np.where(k == best, np.clip(part, -0.5, 0.5), 0.0)
+
+
+def _is_repeated(agreed: Array, k: int) -> bool:
+    """Whether another maximum is as good as that at k."""
+    inner = np.flatnonzero((agreed[1:-1] >= agreed[:-2]) & (agreed[1:-1] >= agreed[2:])) + 1
+    others = agreed[inner[np.abs(inner - k) > SAME_STEPS]]
+    return bool(len(others) and others.max() > agreed[k] - TWIN)
+
+
+def _own(patch: Patch, views: Sequence[View], found: _Swept) -> int | None:
+    """The window whose surface the click's own pixels are of; None if that is not clear. (29.6)"""
+    usable = np.flatnonzero(found.agreement >= SEES)
+    squares = np.full((len(found.w), len(OFFSETS)), np.inf)
+    noises = np.full(len(found.w), np.inf)
+    for window in usable:
+        squares[window], noises[window] = _misfit(patch, views, found, int(window))
+    about = np.array([float(ABOUT @ each) if np.isfinite(each[0]) else np.inf for each in squares])
+    own = int(np.where(found.agreement >= LEAST_AGREEMENT, about, np.inf).argmin())
+    elsewhere = np.abs(found.w - found.w[own]) > SAME_STEPS * found.step
+    if elsewhere[CORE]:
+        return None
+    likelier = (squares[elsewhere] - squares[own]) / (2.0 * CORRELATED * max(noises[own], LEAST_NOISE))
+    likelier = likelier[np.isfinite(likelier[:, 0])]
+    for each in likelier:
+        next_to = cv2.blur(each.reshape(SIDE_PX, SIDE_PX), (3, 3))[NEXT, NEXT]
+        # The click's pixels must be of this surface, and those next to it too: an edge is no sharper than a pixel.
+        if float(ABOUT @ each) <= CLEAR or float(next_to.min()) <= 0.0:
+            return None
+    # The largest window of that surface knows its depth best.
+    same = ~elsewhere & (found.agreement >= LEAST_AGREEMENT)
+    return WHOLE if same[:CORE].all() else 0 if same[0] else own
+
+
+def _misfit(patch: Patch, views: Sequence[View], found: _Swept, window: int) -> tuple[Array, float]:
+    """Of every pixel of the patch (225,) if it were of a window's surface: the sum of squares (grey levels) over the
+    better half of the views, and the mean square of a pixel of the window there.
+    """
+    pixels = WINDOWS[:, window] > 0.0
+    clicked, length = normalised(patch.values[pixels])
+    mean = float(patch.values[pixels].mean())
+    each = []
+    for view in views:
+        values, inside = warped(patch, view, found.w[window : window + 1], found.slope)
+        if inside[0]:
+            seen, scale = normalised(values[0][pixels])
+            gain = float(clicked @ seen) * length / scale
+            each.append((patch.values - mean - gain * (values[0] - values[0][pixels].mean())) ** 2)
+    squares = np.array(each)
+    half = np.argsort(squares @ ABOUT)[: max(LEAST_VIEWS, (len(squares) + 1) // 2)]
+    return squares[half].sum(axis=0), float(np.median(np.sort(squares[:, pixels].mean(axis=1))[: len(half)]))

@@ -1,0 +1,99 @@
+"""A clicked pixel's patch in other pictures, at any depth and slope of its surface. (29.4)"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from contract.camera import Camera
+from onboard.measured.views import View, pixels
+
+Array = NDArray[np.float64]
+Values = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+HALF_PX = 7  # a patch is a square of 15 pixels about the click
+SIDE_PX = 2 * HALF_PX + 1
+_GRID = np.arange(-HALF_PX, HALF_PX + 1.0)
+OFFSETS = np.stack(np.meshgrid(_GRID, _GRID), axis=-1).reshape(-1, 2)  # (225, 2)
+_FIVE = np.array([[0.0, 0.0], [HALF_PX, 0.0], [-HALF_PX, 0.0], [0.0, HALF_PX], [0.0, -HALF_PX]])
+BORDER_PX = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Patch:
+    """The pixels about a click: five rays (5, 3) at depth one (its own, right, left, below, above), values (225,)."""
+
+    rays: Array
+    values: Values
+
+    @classmethod
+    def at(cls, image: Values, camera: Camera, uv_px: Array) -> Patch | None:
+        """None where it would reach over the picture's border, or the lens is not calibrated."""
+        rays, valid = camera.unproject(uv_px + _FIVE)
+        low, high = uv_px - HALF_PX, uv_px + HALF_PX
+        if not valid.all() or low.min() < BORDER_PX or (high > np.array(image.shape[::-1]) - 1.0 - BORDER_PX).any():
+            return None
+        return cls(rays, _values(image, (uv_px + OFFSETS)[None])[0])
+
+
+def places(patch: Patch, view: View, w: Array, slope: Array) -> tuple[Array, Mask]:
+    """Where the patch's pixels (K, 225, 2) are in a view if its middle has inverse depths w (K,), and which of these
+    patches lie within the picture (K,).
+
+    `slope` (2,): of the surface, d ln w / d (x, y). An affine map of the pixels by its five rays. (29.4)
+    """
+    w5 = w[:, None] * (1.0 + (patch.rays[:, :2] - patch.rays[0, :2]) @ slope)
+    five = pixels(view.camera, (patch.rays - w5[..., None] * view.centre_m) @ view.R.T)  # (K, 5, 2)
+    A = np.stack([five[:, 1] - five[:, 2], five[:, 3] - five[:, 4]], axis=-1) / (2.0 * HALF_PX)
+    size = np.array([view.image.shape[1], view.image.shape[0]])
+    reach = np.abs(A).sum(axis=2) * HALF_PX
+    inside = (five[:, 0] - reach > BORDER_PX).all(axis=1) & (five[:, 0] + reach < size - 1.0 - BORDER_PX).all(axis=1)
+    return five[:, :1] + OFFSETS @ A.transpose(0, 2, 1), inside
+
+
+def warped(patch: Patch, view: View, w: Array, slope: Array) -> tuple[Values, Mask]:
+    """The view's grey values (K, 225) at `places`, and which of these patches are whole (K,)."""
+    at, inside = places(patch, view, w, slope)
+    return _values(view.image, at), inside
+
+
+def shifted(patch: Patch, view: View, w: float, slope: Array) -> tuple[Values, Array]:
+    """The view's values (225,) at one depth, and how they change for a pixel that they are taken further right and
+    down (225, 2).
+    """
+    at, _ = places(patch, view, np.array([w]), slope)
+    steps = np.array([[0.0, 0.0], [0.5, 0.0], [-0.5, 0.0], [0.0, 0.5], [0.0, -0.5]])
+    five = _values(view.image, at + steps[:, None])
+    return five[0], np.stack([five[1] - five[2], five[3] - five[4]], axis=1).astype(float)
+
+
+def by_inverse_depth(patch: Patch, view: View, w: float) -> tuple[Array, Array]:
+    """How the click's pixel in a view moves: (2,) with its inverse depth, (2, 6) with the view's pose. (29.1)"""
+    q = view.R @ (patch.rays[0] - w * view.centre_m)
+    x = q[:2] / q[2]
+    to_pixel = np.array([view.camera.fx_px, view.camera.fy_px])[:, None] * _by_place(view.camera, x)
+    by_q = to_pixel @ np.array([[1.0, 0.0, -x[0]], [0.0, 1.0, -x[1]]]) / q[2]
+    turned = np.array([[0.0, q[2], -q[1]], [-q[2], 0.0, q[0]], [q[1], -q[0], 0.0]])  # -[q]x
+    return by_q @ (-view.R @ view.centre_m), by_q @ np.concatenate([turned, -w * np.eye(3)], axis=1)
+
+
+def by_offset(patch: Patch) -> Array:
+    """x, y (225, 2) of the patch's rays from the click's."""
+    by_pixel = np.stack([patch.rays[1] - patch.rays[2], patch.rays[3] - patch.rays[4]])[:, :2] / (2.0 * HALF_PX)
+    return np.asarray(OFFSETS @ by_pixel, float)
+
+
+def _by_place(camera: Camera, xy: Array) -> Array:
+    """The Jacobian (2, 2) of the lens's distortion, (2.2)."""
+    _, along, cross = camera.linearised(xy[:, None])
+    return np.array([[along[0, 0], cross[0]], [cross[0], along[1, 0]]])
+
+
+def _values(image: Values, at: Array) -> Values:
+    """Grey values at pixels (K, N, 2), bilinear."""
+    x, y = np.ascontiguousarray(at[..., 0], np.float32), np.ascontiguousarray(at[..., 1], np.float32)
+    return np.asarray(cv2.remap(image, x, y, cv2.INTER_LINEAR), np.float32)

@@ -1,0 +1,143 @@
+"""A set and a pixel -> the same set with the pixel measured: where it is looked for, and how far. (29.13)"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contract.feature_set import ClickedPixel, FeatureSet, Measured
+from contract.locate import Locator
+from onboard.measured.kept_pictures import Kept
+from onboard.measured.matching import Match
+from onboard.measured.measuring import Sought, measure
+from onboard.measured.patches import Patch
+from onboard.measured.views import Features, View, pixels, relative_pose, view_of
+
+Array = NDArray[np.float64]
+
+MOST_VIEWS = 8
+# How far the other cameras should be from the clicked one at right angles to the ray, in distances to the ground: so
+# far that depth is well known, and so near that the surface looks the same.
+BASELINES = (0.06, 0.12, 0.2, 0.3)
+LEAST_BASELINE, MOST_BASELINE = 0.02, 0.45
+MOST_TURN_COS = 0.8  # of the viewing directions
+KEPT_VIEWS = 32  # of the last clicked pictures
+# Where a surface may be, as a share of the height above the ground: what stands on it, and a pit.
+ABOVE_SHARE, BELOW_SHARE = 0.25, 0.06
+SIGMAS = 4.0  # of the ground between the features, at least
+UNDER_SIGMAS = 3.0  # a depth below the ground by so many sigmas of the ground is no surface: it moves
+
+
+class Questions:
+    """Measures clicked pixels. Views of a picture that is clicked again are not found again. For one thread."""
+
+    def __init__(self) -> None:
+        self._views: OrderedDict[tuple[tuple[int, int], tuple[int, int]], View | None] = OrderedDict()
+        self._locator: Locator | None = None  # of the last set
+        self._session = -1
+
+    def measured_set(
+        self, asked: FeatureSet, uv_px: tuple[float, float], clicked: Kept | None, others: Sequence[Kept]
+    ) -> FeatureSet:
+        """The set as it was asked for, and what became of the pixel. `clicked`: its picture, if that is kept; `others`:
+        those that it may be looked for in.
+        """
+        u, v = (float(np.float32(c)) for c in uv_px)  # as the wire has it
+        found = self._measure(asked, np.array([u, v]), clicked, others)
+        if isinstance(found, Measured):
+            return replace(asked, clicked=ClickedPixel(u, v, found))
+        pixel = ClickedPixel(u, v, Measured.MEASURED, found.inverse_depth_per_m, found.sigma_per_m)
+        return replace(asked, clicked=pixel)
+
+    def _measure(self, asked: FeatureSet, uv_px: Array, kept: Kept | None, others: Sequence[Kept]) -> Match | Measured:
+        if asked.session != self._session:
+            self._views.clear()
+            self._session = asked.session
+        if kept is None:
+            return Measured.NO_PICTURE
+        if asked.shutter is not None:
+            return Measured.ROLLING
+        held = self._locator
+        if held is None or identity(held.feature_set) != identity(asked):
+            held = self._locator = Locator(asked)
+        ray, valid = asked.camera.unproject(uv_px)
+        patch = Patch.at(kept.image.astype(np.float32), asked.camera, uv_px) if valid else None
+        if patch is None:
+            return Measured.BORDER
+        sought, ground_w, ground_sigma = where(held, ray[:2])
+        if sought is None:
+            return Measured.HIDDEN
+        features = Features.of(asked)
+        found = measure(patch, self._seen_by(asked, kept, others, ray, ground_w, features), features, sought)
+        if isinstance(found, Match) and found.inverse_depth_per_m < ground_w * (1.0 - UNDER_SIGMAS * ground_sigma):
+            return Measured.MOVES
+        return found
+
+    def _seen_by(
+        self, asked: FeatureSet, kept: Kept, others: Sequence[Kept], ray: Array, w: float, features: Features
+    ) -> list[View]:
+        mine = identity(asked)
+        out = []
+        for other in chosen(asked, others, ray, w):
+            key = mine, identity(other.its_set)
+            if key not in self._views:
+                start = relative_pose(asked, other.its_set)
+                self._views[key] = view_of(kept.image, features, other.image, other.its_set, start)
+                while len(self._views) > KEPT_VIEWS:
+                    self._views.popitem(last=False)
+            self._views.move_to_end(key)
+            if (view := self._views[key]) is not None:
+                out.append(view)
+        return out
+
+
+def identity(of: FeatureSet) -> tuple[int, int]:
+    """Frame and revision."""
+    return of.frame, of.revision
+
+
+def where(locator: Locator, xy: Array) -> tuple[Sought | None, float, float]:
+    """Where the surface of a ray x, y may be; the ground's inverse depth there as it is interpolated, and one sigma of
+    its logarithm. None where there is no ground.
+    """
+    s = locator.feature_set
+    plane = float(s.plane_per_m[0] + xy @ s.plane_per_m[1:])
+    r, sigma = locator.between_features(xy)
+    w = plane * (1.0 + r)
+    if plane <= 0.0 or w <= 0.0:
+        return None, 0.0, 0.0
+    reach = SIGMAS * sigma
+    far, near = w * (1.0 - max(BELOW_SHARE, reach)), w / (1.0 - min(max(ABOVE_SHARE, reach), 0.6))
+    return Sought(max(far, 0.3 * w), near, s.plane_per_m[1:] / plane), w, sigma
+
+
+def chosen(asked: FeatureSet, others: Sequence[Kept], ray: Array, w: float) -> list[Kept]:
+    """At most MOST_VIEWS of the pictures that show a ray's ground from elsewhere, spread over BASELINES, both sides."""
+    direction = ray / np.linalg.norm(ray)
+    distance_m = float(np.linalg.norm(ray)) / w
+    usable: list[tuple[float, Kept]] = []
+    first: Array | None = None
+    for other in others:
+        if other.its_set.shutter is not None or other.image.shape != (asked.camera.height_px, asked.camera.width_px):
+            continue
+        R, centre_m = relative_pose(asked, other.its_set)
+        across = (centre_m - direction * float(direction @ centre_m)) / distance_m
+        share = float(np.linalg.norm(across))
+        seen = R @ (ray - w * centre_m)
+        if not (LEAST_BASELINE < share < MOST_BASELINE and R[2, 2] > MOST_TURN_COS and seen[2] > 0.0):
+            continue
+        if not other.its_set.camera.contains(pixels(other.its_set.camera, seen[None])[0]):
+            continue
+        first = across if first is None else first
+        usable.append((share if float(across @ first) > 0.0 else -share, other))
+    out: dict[int, Kept] = {}
+    for target in (sign * share for share in BASELINES for sign in (1.0, -1.0)):
+        left = [(abs(share - target), i) for i, (share, _) in enumerate(usable) if i not in out]
+        if left and len(out) < MOST_VIEWS:
+            _, i = min(left)
+            out[i] = usable[i][1]
+    return list(out.values())

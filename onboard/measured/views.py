@@ -1,0 +1,200 @@
+"""Other pictures of a clicked one's ground: where their cameras are, seen from the clicked camera. (29.1)
+
+Poses are relative to the clicked picture's: what its set has in common with them cancels, and what is measured over its
+features has the errors that they have in common.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from contract.camera import Camera
+from contract.feature_set import FeatureSet
+from contract.geodesy import LocalFrame
+from contract.rotations import exp_so3, skew
+from onboard.geometry.plane_homography import fit_homography, move
+
+Array = NDArray[np.float64]
+Grey = NDArray[np.uint8]
+
+WINDOW_PX, LEVELS = 15, 1
+EDGE_PX = 8.0
+MAX_MISS_PX = 12.0  # of a feature found again against the pose that the sets give
+LEAST_FEATURES = 12
+LEAST_SHARE = 0.4  # of the features found again that a pose must explain
+PRIOR_SIGMA_PX = 0.3  # of a feature found again, at first
+ROUNDS = 4
+CUT = 3.0  # sigmas
+LEAST_SIGMA_PX, MOST_SIGMA_PX = 0.05, 1.0  # what is off by more was not found again
+
+
+@dataclass(frozen=True, eq=False)
+class Features:
+    """A clicked picture's features (N,): pixels, rays (N, 3) at depth one, inverse depth, one sigma of its log."""
+
+    uv_px: Array
+    rays: Array
+    inverse_depth_per_m: Array
+    relative_sigma: Array
+
+    @classmethod
+    def of(cls, clicked: FeatureSet) -> Features:
+        """Those of a set."""
+        rays, valid = clicked.camera.unproject(clicked.uv_px)
+        w = clicked.inverse_depth_per_m
+        keep = valid & (w > 0.0)
+        sigma = clicked.sigma_inverse_depth_per_m[keep] / w[keep]
+        return cls(clicked.uv_px[keep], rays[keep], w[keep], sigma)
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """Another picture and its camera: `R` (3, 3) turns the clicked camera's axes into its own, `centre_m` (3,) is where
+    it is in them.
+
+    With d a ray of the clicked picture at depth one and w its inverse depth, it is seen along R (d - w centre). Of its
+    pose (rotation, then position, of the view's own axes): `by_feature` (6, N, 2) how it moves with each feature's
+    pixel as it was found, `by_depth` (6, N) with the feature's d ln w; `pixel_sigma_px` is one sigma of the former.
+    """
+
+    image: NDArray[np.float32]
+    camera: Camera
+    R: Array
+    centre_m: Array
+    by_feature: Array
+    by_depth: Array
+    pixel_sigma_px: float
+
+
+def relative_pose(clicked: FeatureSet, other: FeatureSet) -> tuple[Array, Array]:
+    """R and centre of `View`, as both sets have their poses."""
+    here = LocalFrame(clicked.camera_lat_deg, clicked.camera_lon_deg, clicked.camera_height_m)
+    moved_m = here.to_enu(other.camera_lat_deg, other.camera_lon_deg, other.camera_height_m)
+    there = LocalFrame(other.camera_lat_deg, other.camera_lon_deg, other.camera_height_m)
+    R_enu_other = here.R_enu_ecef @ there.R_enu_ecef.T @ other.R_enu_cam
+    return R_enu_other.T @ clicked.R_enu_cam, clicked.R_enu_cam.T @ moved_m
+
+
+def pixels(camera: Camera, directions: Array) -> Array:
+    """Pixels (..., 2) of directions (..., 3) in camera axes; far off the picture for what is behind."""
+    z = directions[..., 2:]
+    ahead = z > 1e-6
+    xy = np.clip(np.where(ahead, directions[..., :2] / np.where(ahead, z, 1.0), 1e3), -1e3, 1e3)
+    return np.asarray(camera.distort(xy) * (camera.fx_px, camera.fy_px) + (camera.cx_px, camera.cy_px), float)
+
+
+def view_of(
+    image: Grey, features: Features, other_image: Grey, other: FeatureSet, start: tuple[Array, Array]
+) -> View | None:
+    """Find the features again in another picture, and from them its pose. (29.2), None where too few are found."""
+    camera = other.camera
+    found, kept = _found(image, features.uv_px, other_image, pixels(camera, _seen(*start, features)))
+    rays, valid = camera.unproject(found)
+    kept = kept & valid
+    if np.count_nonzero(kept) < LEAST_FEATURES:
+        return None
+    rows = np.flatnonzero(kept)
+    few = Features(
+        *(
+            column[rows]
+            for column in (features.uv_px, features.rays, features.inverse_depth_per_m, features.relative_sigma)
+        )
+    )
+    solved = resect(*start, few, rays[rows, :2], camera.focal_px)
+    if solved is None:
+        return None
+    R, centre, by_pixel, by_depth, sigma_px = solved
+    every = np.zeros((6, len(kept), 2)), np.zeros((6, len(kept)))
+    every[0][:, rows], every[1][:, rows] = by_pixel, by_depth
+    return View(other_image.astype(np.float32), camera, R, centre, *every, sigma_px)
+
+
+def resect(
+    R: Array, centre_m: Array, features: Features, xy: Array, focal_px: float
+) -> tuple[Array, Array, Array, Array, float] | None:
+    """The pose by which features are seen at `xy` (N, 2), undistorted; its `by_feature` and `by_depth`, and the pixels'
+    one sigma. (29.2), (29.3)
+
+    What disagrees is left out, None if that is most.
+    """
+    w, s2 = features.inverse_depth_per_m, features.relative_sigma**2
+    used = np.ones(len(w), bool)
+    sigma_px = PRIOR_SIGMA_PX
+    for _ in range(ROUNDS):
+        q, J, by_depth = linearised(R, centre_m, features, focal_px)
+        residual = focal_px * (xy - q[:, :2] / q[:, 2:])
+        cov = s2[:, None, None] * by_depth[:, :, None] * by_depth[:, None] + sigma_px**2 * np.eye(2)
+        W = np.linalg.inv(cov)
+        mahalanobis = np.sqrt(np.einsum("ni,nij,nj->n", residual, W, residual))
+        used = mahalanobis < max(CUT, CUT / 1.18 * float(np.median(mahalanobis)))
+        if np.count_nonzero(used) < max(LEAST_FEATURES, LEAST_SHARE * len(w)):
+            return None
+        JW = np.einsum("nik,nij->nkj", J, W * used[:, None, None])  # (N, 6, 2)
+        N = np.einsum("nki,nil->kl", JW, J)
+        gain = np.linalg.solve(N + 1e-9 * np.diag(np.diag(N)), JW.transpose(1, 0, 2).reshape(6, -1))
+        step = gain @ residual.ravel()
+        R, centre_m = exp_so3(step[:3]) @ R, centre_m + R.T @ step[3:]
+        # Of what is not the features' depth: across the epipolar line nothing of a residual is.
+        across = np.stack([-by_depth[:, 1], by_depth[:, 0]], axis=1)
+        across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12)
+        off = np.abs(np.einsum("ni,ni->n", across, residual))[used]
+        sigma_px = max(1.483 * float(np.median(off)), LEAST_SIGMA_PX)
+        # Along it a window that lies on more than one surface is off by more than the features' own depth.
+        size = np.maximum(np.linalg.norm(by_depth, axis=1), 1e-12)
+        along = np.einsum("ni,ni->n", by_depth, residual)[used] / size[used]
+        ratio = 1.483 * float(np.median(np.abs(along) / np.sqrt(sigma_px**2 + (size**2 * s2)[used])))
+        grown = max(ratio, 1.0)
+        s2 = features.relative_sigma**2 + np.maximum(grown**2 - 1.0, 0.0) * (
+            features.relative_sigma**2 + sigma_px**2 / size**2
+        )
+    if sigma_px > MOST_SIGMA_PX:
+        return None
+    by_pixel = gain.reshape(6, -1, 2)
+    return R, centre_m, by_pixel, np.einsum("kni,ni->kn", by_pixel, -by_depth) * np.sqrt(s2), sigma_px
+
+
+def linearised(R: Array, centre_m: Array, features: Features, focal_px: float) -> tuple[Array, Array, Array]:
+    """Directions (N, 3) of features in a view, and how their pixels (of an undistorted picture) move: (N, 2, 6) by its
+    pose, (N, 2) by d ln w. (29.1)
+    """
+    q = _seen(R, centre_m, features)
+    w = features.inverse_depth_per_m
+    by_q = (
+        focal_px
+        / q[:, 2, None, None]
+        * np.concatenate([np.broadcast_to(np.eye(2), (len(q), 2, 2)), -(q[:, :2] / q[:, 2:])[:, :, None]], axis=2)
+    )
+    by_pose = np.concatenate([-skew(q), -w[:, None, None] * np.eye(3)], axis=2)
+    by_depth = -w[:, None] * (R @ centre_m)
+    return q, by_q @ by_pose, np.einsum("nij,nj->ni", by_q, by_depth)
+
+
+def _seen(R: Array, centre_m: Array, features: Features) -> Array:
+    return np.asarray((features.rays - features.inverse_depth_per_m[:, None] * centre_m) @ R.T, float)
+
+
+def _found(image: Grey, at: Array, other: Grey, start: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Where pixels (N, 2) are in another picture, and which of them were found near where they were expected.
+
+    The other picture is first taken back by the homography that is expected: LK knows shifts alone.
+    """
+    size = other.shape[1], other.shape[0]
+    inside = np.asarray((start > EDGE_PX).all(axis=1) & (start < np.subtract(size, EDGE_PX + 1.0)).all(axis=1), bool)
+    if np.count_nonzero(inside) < LEAST_FEATURES:
+        return start, np.zeros(len(at), bool)
+    H = fit_homography(at[inside], start[inside], np.ones(np.count_nonzero(inside)))
+    back = cv2.warpPerspective(other, H, image.shape[::-1], flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
+    expected = np.where(inside[:, None], move(np.asarray(np.linalg.inv(H), float), start), at)
+    criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 12, 0.01)
+    moved, is_found, _ = cv2.calcOpticalFlowPyrLK(
+        image, back, at.astype(np.float32).reshape(-1, 1, 2), expected.astype(np.float32).reshape(-1, 1, 2),
+        winSize=(WINDOW_PX, WINDOW_PX), maxLevel=LEVELS, criteria=criteria, flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+    )  # fmt: skip
+    near = np.linalg.norm(moved.reshape(-1, 2) - expected, axis=1) < MAX_MISS_PX
+    found = move(H, moved.reshape(-1, 2).astype(float))
+    inside &= (found > EDGE_PX).all(axis=1) & (found < np.subtract(size, EDGE_PX + 1.0)).all(axis=1)
+    return found, inside & near & (is_found.ravel() == 1)

@@ -1,0 +1,82 @@
+"""A click over a real zenoh link: the aircraft measures its pixel, or states why not, and other clicks are as ever."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from contract.feature_set import FeatureSet, Measured
+from ground.__main__ import main
+from ground.client import inquire
+from onboard.config.schema import parse_config
+from onboard.events.types import Frame
+from onboard.link.publisher import Publisher, Rate
+from onboard.service.measure_thread import MeasureThread
+from tests.onboard.link.ports import free_endpoint
+from tests.onboard.measured.step_world import CLICKED, EPOCH_NS, World
+
+CONFIG = parse_config('[vehicle]\nid = "uav-1"\n')
+WORLD = World(roof_m=8.0, seed=12)
+ROOF, GROUND = (200.0, 85.0), (60.0, 170.0)
+
+
+@pytest.fixture(scope="module")
+def endpoint() -> Iterator[str]:
+    """Of an aircraft that has taken nine pictures."""
+    at = free_endpoint()
+    with Publisher("uav-1", [at], rate=Rate(1e8, 0.2, 30.0)) as link, MeasureThread(CONFIG) as measured:
+        link.measure = measured.measure
+        for number in range(9):
+            measured.event(0, Frame(EPOCH_NS + number * 10**9, number, WORLD.image(number)))
+            measured.feature_set(WORLD.its_set(number))
+            link.publish(WORLD.its_set(number))
+        yield at
+
+
+def asked(endpoint: str, uv: tuple[float, float]) -> FeatureSet:
+    found = inquire(endpoint, frame=CLICKED, pixel=uv)["uav-1"].answer
+    assert isinstance(found, FeatureSet)
+    return found
+
+
+def test_a_roof_is_measured_over_the_link_within_half_a_second(endpoint: str) -> None:
+    began_s = time.monotonic()
+    clicked = asked(endpoint, ROOF).clicked
+    assert time.monotonic() - began_s < 3.0  # 0.5 s on a machine of its own: tests/limits
+    assert clicked is not None and clicked.is_measured
+    depth = float(WORLD.depths(CLICKED, np.array(ROOF))[0])
+    assert clicked.inverse_depth_per_m * depth == pytest.approx(1.0, abs=0.01)
+    assert asked(endpoint, (3.0, 3.0)).clicked is not None  # its border, with a word
+    assert asked(endpoint, (3.0, 3.0)).clicked.measured is Measured.BORDER  # type: ignore[union-attr]
+
+
+def test_the_command_states_measured_and_interpolated_leaves_it_out(
+    endpoint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["click", *map(str, ROOF), "--connect", endpoint, "--frame", str(CLICKED), "--format", "json"]
+    assert main(words) == 0
+    measured = json.loads(capsys.readouterr().out)
+    assert measured["method"] == "measured"
+    assert measured["above_ground_m"] == pytest.approx(8.0, abs=1.0)
+    assert main([*words, "--interpolated"]) == 0
+    plain = json.loads(capsys.readouterr().out)
+    assert plain["method"] == "interpolated" and "unmeasured" not in plain
+
+
+@pytest.mark.parametrize("pixel", [(-7.0, 3.0), (1e300, 2.0), (float("nan"), float("nan")), (319.9, 1e4)])
+def test_hostile_pixels_get_the_set_as_ever(endpoint: str, pixel: tuple[float, float]) -> None:
+    assert asked(endpoint, pixel).clicked is None
+
+
+def test_an_aircraft_that_measures_nothing_answers_as_ever_and_the_command_reports_it(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    at = free_endpoint()
+    with Publisher("uav-1", [at], rate=Rate(1e8, 0.2, 30.0)) as link:
+        link.publish(WORLD.its_set(CLICKED))
+        assert main(["click", *map(str, GROUND), "--connect", at, "--frame", str(CLICKED), "--format", "json"]) == 0
+    assert json.loads(capsys.readouterr().out)["unmeasured"] == "the aircraft did not try"

@@ -1,0 +1,147 @@
+"""A clicked pixel measured by itself: how right it is, how right its sigma is, and when it is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from contract.feature_set import Measured
+from onboard.measured.matching import linearised
+from onboard.measured.patches import Patch, by_inverse_depth, places
+from onboard.measured.question import Questions
+from onboard.measured.views import Features, relative_pose, view_of
+from tests.onboard.measured.step_world import CAMERA, CLICKED, World, others
+
+ALL = np.ones(225, bool)
+
+
+def off_in_sigmas(world: World, clicks: np.ndarray) -> tuple[np.ndarray, np.ndarray, list[Measured]]:
+    """Relative errors of the inverse depth, the same over their sigma, and what became of every click."""
+    questions, clicked, rest = Questions(), world.kept(CLICKED), others(world)
+    errors, sigmas, words = [], [], []
+    for uv in clicks:
+        pixel = questions.measured_set(clicked.its_set, (float(uv[0]), float(uv[1])), clicked, rest).clicked
+        assert pixel is not None
+        words.append(pixel.measured)
+        if pixel.is_measured:
+            depth = float(world.depths(CLICKED, np.array([pixel.u_px, pixel.v_px]))[0])
+            errors.append(pixel.inverse_depth_per_m * depth - 1.0)
+            sigmas.append(pixel.sigma_per_m / pixel.inverse_depth_per_m)
+    return np.array(errors), np.array(errors) / np.array(sigmas), words
+
+
+def clicks_in(
+    seed: int, count: int, low: tuple[float, float] = (30, 30), high: tuple[float, float] = (290, 210)
+) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(low, high, (count, 2)).round(1)
+
+
+@pytest.mark.parametrize("tilt_rad", [0.0, 0.5])
+def test_open_ground_is_measured_to_a_thousandth_of_its_distance_and_states_so(tilt_rad: float) -> None:
+    errors, z, words = off_in_sigmas(World(seed=1, tilt_rad=tilt_rad), clicks_in(1, 30))
+    assert words.count(Measured.MEASURED) >= 28
+    assert np.median(np.abs(errors)) < 1e-3
+    assert np.mean(np.abs(z) < 1.645) >= 0.7 and np.abs(z).max() < 5.0
+    assert np.median(np.abs(z)) > 0.1  # no sigma that would hold anything
+
+
+def test_a_roof_is_where_it_is_and_not_at_the_height_between_the_features() -> None:
+    world = World(roof_m=8.0, seed=2)
+    errors, z, words = off_in_sigmas(world, clicks_in(2, 20, (185, 70), (217, 100)))
+    assert world.depths(CLICKED, np.array([185.0, 70.0]))[2] and world.depths(CLICKED, np.array([217.0, 100.0]))[2]
+    assert words.count(Measured.MEASURED) >= 18
+    assert np.abs(errors).max() < 0.01  # the roof's height is 0.08 of the camera's
+    assert np.mean(np.abs(z) < 1.645) >= 0.7
+
+
+def test_next_to_an_edge_the_answer_is_of_the_click_s_own_surface_or_none() -> None:
+    """Within five pixels on either side of the roof's western edge."""
+    world = World(roof_m=8.0, seed=3)
+    v = 85.0
+    row = np.stack([np.arange(140.0, 220.0), np.full(80, v)], axis=1)
+    on = world.depths(CLICKED, row)[2]
+    edge_px = float(row[np.flatnonzero(on)[0], 0])
+    near = np.array(
+        [[edge_px + side, v + dv] for side in (-5.0, -4.0, -3.0, -2.0, 1.5, 2.5, 3.5, 4.5) for dv in (-6.0, 0.0, 6.0)]
+    )
+    errors, _, words = off_in_sigmas(world, near)
+    assert words.count(Measured.MEASURED) >= len(near) // 2
+    assert np.mean(np.abs(errors) < 0.015) >= 0.95
+
+
+@pytest.mark.parametrize(
+    ("world", "uv", "word"),
+    [
+        (World(contrast=0.02, seed=4), (150.0, 110.0), Measured.NO_TEXTURE),
+        (World(stripe_m=1.2, seed=4), (150.0, 110.0), Measured.REPEATED),
+        (World(seed=4), (4.0, 110.0), Measured.BORDER),
+    ],
+)
+def test_what_cannot_be_measured_states_why(world: World, uv: tuple[float, float], word: Measured) -> None:
+    clicked = world.kept(CLICKED)
+    textured = World(seed=4)  # whose poses are the same: features need something to be found by
+    questions = Questions()
+    questions._seen_by = lambda *args: views_of(world, textured)  # type: ignore[method-assign]
+    pixel = questions.measured_set(clicked.its_set, uv, clicked, others(world)).clicked
+    assert pixel is not None and pixel.measured is word
+
+
+def views_of(world: World, textured: World) -> list[object]:
+    """The views of a world whose pictures have nothing to be found by, at the poses of one that has."""
+    clicked, features = textured.kept(CLICKED), Features.of(textured.its_set(CLICKED))
+    out = []
+    for n in (0, 2, 3, 5, 6, 8):
+        other = textured.kept(n)
+        view = view_of(
+            clicked.image, features, other.image, other.its_set, relative_pose(clicked.its_set, other.its_set)
+        )
+        assert view is not None
+        object.__setattr__(view, "image", world.image(n).astype(np.float32))
+        out.append(view)
+    return out
+
+
+def test_a_picture_that_is_not_kept_or_has_no_others_is_not_measured() -> None:
+    world = World(seed=5)
+    clicked = world.kept(CLICKED)
+    for kept, rest, word in (
+        (None, others(world), Measured.NO_PICTURE),
+        (clicked, others(world)[:2], Measured.FEW_VIEWS),
+    ):
+        pixel = Questions().measured_set(clicked.its_set, (150.0, 110.0), kept, rest).clicked
+        assert pixel is not None and pixel.measured is word
+
+
+def test_what_is_hidden_in_most_views_is_refused() -> None:
+    """A picture of another place at the same poses shows nothing of the click's."""
+    world = World(seed=6)
+    clicked, rest = world.kept(CLICKED), others(world)
+    for kept in rest:
+        kept.image[60:180, 40:280] = World(seed=60).image(CLICKED)[60:180, 40:280]
+    pixel = Questions().measured_set(clicked.its_set, (160.0, 120.0), clicked, rest).clicked
+    assert pixel is not None and pixel.measured in (Measured.HIDDEN, Measured.FEW_VIEWS, Measured.EDGE)
+
+
+def test_the_derivatives_of_a_patch_are_those_of_finite_differences() -> None:
+    world = World(seed=7)
+    clicked, other = world.kept(CLICKED), world.kept(2)
+    start = relative_pose(clicked.its_set, other.its_set)
+    view = view_of(clicked.image, Features.of(clicked.its_set), other.image, other.its_set, start)
+    patch = Patch.at(clicked.image.astype(np.float32), CAMERA, np.array([150.0, 110.0]))
+    assert view is not None and patch is not None
+    w, slope = 0.0102, np.array([0.02, -0.01])
+    b, _ = by_inverse_depth(patch, view, w)
+    moved = np.diff([places(patch, view, np.array([w + h]), slope)[0][0, 112] for h in (-1e-6, 1e-6)], axis=0)[0] / 2e-6
+    np.testing.assert_allclose(b, moved, rtol=1e-3)
+    row = linearised(patch, view, w, slope, ALL)
+    half_px = 0.5 / float(np.hypot(*b))
+    for i, step in enumerate((half_px, half_px / w * 60.0, half_px / w * 60.0)):
+        ahead, behind = (
+            linearised(
+                patch, view, w + sign * step * (i == 0), slope + sign * step * np.array([i == 1, i == 2]), ALL
+            ).residual
+            for sign in (1.0, -1.0)
+        )
+        change = (behind - ahead) / (2.0 * step)
+        assert np.corrcoef(change, row.J[:, i])[0, 1] > 0.97
+        assert np.linalg.norm(change) == pytest.approx(np.linalg.norm(row.J[:, i]), rel=0.15)

@@ -1,0 +1,94 @@
+"""Where other pictures were taken, from the features of the clicked one: (29.1) to (29.3)."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from contract.rotations import exp_so3
+from onboard.measured.views import Features, linearised, pixels, relative_pose, resect, view_of
+from tests.onboard.measured.step_world import CAMERA, CLICKED, World
+
+
+def some_features(rng: np.random.Generator, count: int = 60, sigma: float = 1e-3) -> Features:
+    rays, _ = CAMERA.unproject(uv := rng.uniform([10.0, 10.0], [310.0, 230.0], (count, 2)))
+    return Features(uv, rays, 1.0 / rng.uniform(80.0, 120.0, count), np.full(count, sigma))
+
+
+def test_the_derivatives_of_a_view_are_those_of_finite_differences() -> None:
+    rng = np.random.default_rng(1)
+    features, R, centre = some_features(rng), exp_so3(rng.normal(0.0, 0.1, 3)), np.array([11.0, -4.0, 2.0])
+
+    def seen(step: np.ndarray, scale: float = 1.0) -> np.ndarray:
+        turned, moved = exp_so3(step[:3]) @ R, centre + R.T @ step[3:]
+        q = (features.rays - scale * features.inverse_depth_per_m[:, None] * moved) @ turned.T
+        return 300.0 * q[:, :2] / q[:, 2:]
+
+    _, by_pose, by_depth = linearised(R, centre, features, 300.0)
+    for i in range(6):
+        step = np.eye(6)[i] * 1e-6
+        np.testing.assert_allclose(by_pose[:, :, i], (seen(step) - seen(-step)) / 2e-6, rtol=1e-5, atol=1e-4)
+    np.testing.assert_allclose(
+        by_depth, (seen(np.zeros(6), 1.0 + 1e-6) - seen(np.zeros(6), 1.0 - 1e-6)) / 2e-6, rtol=1e-5, atol=1e-4
+    )
+
+
+def test_a_pose_is_as_far_off_as_its_derivatives_by_the_features_state() -> None:
+    """Over many draws of pixels and depths, at a point of the picture; outliers are left out."""
+    rng = np.random.default_rng(2)
+    squares = []
+    for _ in range(120):
+        features, R, centre = some_features(rng), exp_so3(rng.normal(0.0, 0.05, 3)), np.array([14.0, 3.0, 1.0])
+        q = (features.rays - features.inverse_depth_per_m[:, None] * centre) @ R.T
+        xy = q[:, :2] / q[:, 2:] + rng.normal(0.0, 0.2 / 300.0, (60, 2))
+        xy[:5] += 0.05
+        wrong = Features(
+            features.uv_px, features.rays,
+            features.inverse_depth_per_m * (1.0 + features.relative_sigma * rng.standard_normal(60)),
+            features.relative_sigma,
+        )  # fmt: skip
+        start = exp_so3(rng.normal(0.0, 1e-3, 3)) @ R, centre + rng.normal(0.0, 0.2, 3)
+        found = resect(*start, wrong, xy, 300.0)
+        assert found is not None
+        R_found, centre_found, by_pixel, by_depth, sigma_px = found
+        place = np.array([0.2, -0.1, 1.0])
+        off = np.diff(
+            [pixels(CAMERA, T @ (place - c / 100.0)) for T, c in ((R, centre), (R_found, centre_found))], axis=0
+        )[0]
+        point = Features(np.zeros((1, 2)), place[None], np.array([0.01]), np.zeros(1))
+        A = linearised(R_found, centre_found, point, 300.0)[1][0]
+        cov = A @ (np.einsum("kni,lni->kl", by_pixel, by_pixel) * sigma_px**2 + by_depth @ by_depth.T) @ A.T
+        squares.append(float(off @ np.linalg.solve(cov, off)) / 2.0)
+        assert sigma_px == pytest.approx(0.2, rel=0.6)
+    assert 0.7 < np.mean(squares) < 1.35
+
+
+def test_a_view_is_mended_by_the_features_to_a_fraction_of_a_pixel() -> None:
+    world = World(seed=3)
+    clicked, other = world.kept(CLICKED), world.kept(1)
+    start = relative_pose(clicked.its_set, other.its_set)
+    view = view_of(clicked.image, Features.of(clicked.its_set), other.image, other.its_set, start)
+    assert view is not None
+    uv = np.array([[60.0, 60.0], [160.0, 120.0], [280.0, 200.0]])
+    _, places, _ = world.depths(CLICKED, uv)
+    R, centre = world.pose(1)
+    truly = CAMERA.project((places - centre) @ R)[0]
+    w = 1.0 / world.depths(CLICKED, uv)[0]
+    rays = CAMERA.unproject(uv)[0]
+
+    def off(R_: np.ndarray, centre_m: np.ndarray) -> float:
+        return float(np.abs(pixels(CAMERA, (rays - w[:, None] * centre_m) @ R_.T) - truly).max())
+
+    assert off(*start) > 0.5
+    assert off(view.R, view.centre_m) < 0.15
+
+
+def test_without_features_in_common_there_is_no_view() -> None:
+    world = World(seed=4)
+    clicked, other = world.kept(CLICKED), world.kept(1)
+    start = relative_pose(clicked.its_set, other.its_set)
+    features = Features.of(clicked.its_set)
+    assert view_of(clicked.image, features, np.full_like(other.image, 90), other.its_set, start) is None
+    assert (
+        view_of(clicked.image, features, other.image, other.its_set, (start[0], start[1] + [500.0, 0.0, 0.0])) is None
+    )
