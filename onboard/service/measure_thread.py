@@ -59,7 +59,7 @@ class MeasureThread(WokenWork):
         is not called. From any thread.
         """
         with self._changed:
-            if len(self._asked) >= MAX_ASKED or self.thread.is_set():
+            if len(self._asked) >= MAX_ASKED:
                 return False
             self._asked.append((payload, uv_px, done, self._monotonic_s()))
             self._changed.notify()
