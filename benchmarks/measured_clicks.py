@@ -192,7 +192,7 @@ def shared_of(truth: Truth, frame: int, s: FeatureSet) -> Array:
 
 
 def kinds_of(truth: Truth, frame: int, uv: Array) -> tuple[list[str], Array]:
-    """Of pixels (N, 2): what they show, and how far that truly is (N,) along the camera's axis, m."""
+    """Return the kind of surface that pixels (N, 2) show, and its true depth (N,) along the camera's axis, m."""
     enu_m = truth.ground(frame, uv).enu_m
     lift = truth.terrain.obstacle_m(enu_m[:, 0], enu_m[:, 1])
     angles = np.arange(8) * np.pi / 4.0

@@ -165,7 +165,7 @@ class Fix:
         )
 
     def _measured_json(self) -> str:
-        """What an answer has besides if its pixel was asked for to be measured."""
+        """Return the fields that an answer gains if its pixel was asked to be measured."""
         if self.unmeasured:
             return f', "unmeasured": {json.dumps(self.unmeasured)}'
         if self.above_ground_m is None:

@@ -94,7 +94,7 @@ class SharedErrors:
 
 
 class Measured(Enum):
-    """What became of a clicked pixel: measured, or why not. Values are the words users see; order, the wire code."""
+    """The outcome for a clicked pixel: measured, or why not. Values are the words users see; order, the wire code."""
 
     MEASURED = "measured"
     NO_PICTURE = "picture not kept"  # the aircraft holds its picture no longer

@@ -306,7 +306,7 @@ class Locator:
         return c is not None and bool(np.abs(uv_px - (c.u_px, c.v_px)).max() < SAME_PX)
 
     def _unmeasured(self, uv_px: Array) -> str:
-        """Why the pixel that was asked for was not measured; empty for any other, and if it was."""
+        """Return why the pixel that was asked for was not measured; empty for any other, and if it was."""
         c = self.feature_set.clicked
         return "" if c is None or c.is_measured or not self._is_clicked(uv_px) else c.measured.value
 
@@ -377,7 +377,7 @@ class Locator:
         return out
 
     def _own_covariance(self, clicks: list[_Located], xy: Array) -> Array:
-        """Of several clicks' r (M, M): kriging's, and what was measured has nothing in common with that."""
+        """Return the covariance (M, M) of several clicks' r: kriging's; a measured pixel shares nothing with it."""
         own = self._kriging.predict(xy)[1]
         measured = np.array([click.method == Measured.MEASURED.value for click in clicks])
         own[measured, :] = own[:, measured] = 0.0

@@ -52,7 +52,7 @@ class Raster:
         return np.tile(self.surface_m[:SIZE, :SIZE], (REPEATS, REPEATS))
 
     def first_crossing(self, near_m: Array, far_m: Array) -> tuple[Array, NDArray[np.bool_]]:
-        """Where the ways from points above the surface (N, 3) to points below it first meet it, as a share (N,), and
+        """Return where ways from points above the surface (N, 3) to points below first meet it, as a share (N,), and
         whether they do. Heights are above level ground, which over such a way is straight.
         """
         corner = np.floor(np.minimum(near_m[:, :2].min(axis=0), far_m[:, :2].min(axis=0)) / (SIZE * CELL_M))

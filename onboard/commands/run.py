@@ -178,7 +178,7 @@ def _tracks(config: Config, link: Publisher) -> TrackThread | None:
 
 
 def _measured(config: Config, link: Publisher) -> MeasureThread | None:
-    """What measures clicked pixels, in the pictures that things are followed in."""
+    """Return the thread that measures clicked pixels, in the pictures that things are followed in."""
     if not config.tracks.enabled:
         return None
     measured = MeasureThread(config)

@@ -424,7 +424,7 @@ class Publisher:
         self._parked = [parked for parked in self._parked if id(parked.query) not in gone]
 
     def _is_measured(self, query: zenoh.Query, asked: Question, found: Answer, until_s: float) -> bool:
-        """Whether a pixel is being measured: then the query is answered when it has been."""
+        """Return whether a pixel is being measured: then the query is answered when it has been."""
         if asked.pixel is None or found.is_error:
             return False
 
@@ -486,7 +486,7 @@ def not_followed(_: str) -> tuple[bytes, bool]:
 
 
 def not_measured(payload: bytes, uv_px: tuple[float, float], done: Callable[[FeatureSet | None], object]) -> bool:
-    """What an aircraft does that keeps no pictures."""
+    """Answer for an aircraft that keeps no pictures."""
     return False
 
 

@@ -21,7 +21,7 @@ class Kept:
 
 
 class KeptPictures:
-    """For one thread. Of the session that runs; pictures without a set that answers are not kept."""
+    """The pictures of the running session whose sets answer clicks, for one thread."""
 
     def __init__(self, kept_bytes: int) -> None:
         self._kept_bytes, self._bytes = kept_bytes, 0

@@ -86,7 +86,7 @@ def matched(
 
 
 def linearised(patch: Patch, view: View, w: float, slope: Array, window: Mask) -> Row:
-    """What is left between the clicked patch and a view's, and how that changes. (29.7)"""
+    """Return the residual between the clicked patch and a view's, and its derivatives. (29.7)"""
     values, by_pixel = shifted(patch, view, w, slope)
     clicked, _ = normalised(patch.values[window])
     seen, length = normalised(values[window])

@@ -34,7 +34,7 @@ CLEAR = 5.0  # natural logarithm of how much likelier one surface must be than a
 
 @dataclass(frozen=True, eq=False)
 class Sought:
-    """Where the surface may be: inverse depths from the farthest to the nearest (1/m), and the slope of the ground
+    """The range of the search: inverse depths from the farthest to the nearest (1/m), and the slope of the ground
     there, d ln w / d (x, y).
     """
 
@@ -45,8 +45,8 @@ class Sought:
 
 @dataclass(frozen=True, eq=False)
 class _Swept:
-    """What every window about the click states: its best inverse depth w (W,), how well the views agree there (W,), and
-    which of them see it (W, V). `step` is the sweep's.
+    """The sweep's result for every window about the click: its best inverse depth w (W,), how well the views agree
+    there (W,), and which of them see it (W, V). `step` is the sweep's.
     """
 
     w: Array
@@ -101,7 +101,7 @@ def _sweep(patch: Patch, views: Sequence[View], sought: Sought) -> _Swept | Meas
 
 
 def _part(agreed: Array, best: NDArray[np.intp]) -> Array:
-    """Of a step, where between its neighbours each window's maximum lies: that of a parabola."""
+    """Return each window's maximum as a fraction of a step from the best one: that of a parabola."""
     window = np.arange(agreed.shape[1])
     k = np.clip(best, 1, len(agreed) - 2)
     before, at, after = (agreed[k + i, window] for i in (-1, 0, 1))
@@ -111,7 +111,7 @@ def _part(agreed: Array, best: NDArray[np.intp]) -> Array:
 
 
 def _is_repeated(agreed: Array, k: int) -> bool:
-    """Whether another maximum is as good as that at k."""
+    """Return whether another maximum is as good as that at k."""
     inner = np.flatnonzero((agreed[1:-1] >= agreed[:-2]) & (agreed[1:-1] >= agreed[2:])) + 1
     others = agreed[inner[np.abs(inner - k) > SAME_STEPS]]
     return bool(len(others) and others.max() > agreed[k] - TWIN)
@@ -142,7 +142,7 @@ def _own(patch: Patch, views: Sequence[View], found: _Swept) -> int | None:
 
 
 def _misfit(patch: Patch, views: Sequence[View], found: _Swept, window: int) -> tuple[Array, float]:
-    """Of every pixel of the patch (225,) if it were of a window's surface: the sum of squares (grey levels) over the
+    """Return each pixel's misfit (225,) if it were of a window's surface, the sum of squares (grey levels) over the
     better half of the views, and the mean square of a pixel of the window there.
     """
     pixels = WINDOWS[:, window] > 0.0

@@ -41,7 +41,7 @@ class Patch:
 
 
 def places(patch: Patch, view: View, w: Array, slope: Array) -> tuple[Array, Mask]:
-    """Where the patch's pixels (K, 225, 2) are in a view if its middle has inverse depths w (K,), and which of these
+    """Return the patch's pixels (K, 225, 2) in a view if its middle has inverse depths w (K,), and which of these
     patches lie within the picture (K,).
 
     `slope` (2,): of the surface, d ln w / d (x, y). An affine map of the pixels by its five rays. (29.4)
@@ -72,7 +72,7 @@ def shifted(patch: Patch, view: View, w: float, slope: Array) -> tuple[Values, A
 
 
 def by_inverse_depth(patch: Patch, view: View, w: float) -> tuple[Array, Array]:
-    """How the click's pixel in a view moves: (2,) with its inverse depth, (2, 6) with the view's pose. (29.1)"""
+    """Return derivatives of the click's pixel in a view: (2,) by inverse depth, (2, 6) by the view's pose. (29.1)"""
     q = view.R @ (patch.rays[0] - w * view.centre_m)
     x = q[:2] / q[2]
     to_pixel = np.array([view.camera.fx_px, view.camera.fy_px])[:, None] * _by_place(view.camera, x)

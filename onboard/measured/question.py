@@ -101,8 +101,8 @@ def identity(of: FeatureSet) -> tuple[int, int]:
 
 
 def where(locator: Locator, xy: Array) -> tuple[Sought | None, float, float]:
-    """Where the surface of a ray x, y may be; the ground's inverse depth there as it is interpolated, and one sigma of
-    its logarithm. None where there is no ground.
+    """Return the range to search along a ray x, y, the ground's interpolated inverse depth there, and one sigma
+    of its logarithm. None where there is no ground.
     """
     s = locator.feature_set
     plane = float(s.plane_per_m[0] + xy @ s.plane_per_m[1:])
@@ -116,7 +116,7 @@ def where(locator: Locator, xy: Array) -> tuple[Sought | None, float, float]:
 
 
 def chosen(asked: FeatureSet, others: Sequence[Kept], ray: Array, w: float) -> list[Kept]:
-    """At most MOST_VIEWS of the pictures that show a ray's ground from elsewhere, spread over BASELINES, both sides."""
+    """Return at most MOST_VIEWS pictures that show a ray's ground from elsewhere, spread over BASELINES, both sides."""
     direction = ray / np.linalg.norm(ray)
     distance_m = float(np.linalg.norm(ray)) / w
     usable: list[tuple[float, Kept]] = []

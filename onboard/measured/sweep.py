@@ -1,4 +1,4 @@
-"""Which inverse depths of a clicked pixel other pictures agree on: a sweep along its ray. (29.5), (29.6)"""
+"""A sweep along a clicked pixel's ray: the inverse depths that other pictures agree on. (29.5), (29.6)"""
 
 from __future__ import annotations
 

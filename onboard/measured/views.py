@@ -43,7 +43,7 @@ class Features:
 
     @classmethod
     def of(cls, clicked: FeatureSet) -> Features:
-        """Those of a set."""
+        """Return a set's features that lie ahead on calibrated rays."""
         rays, valid = clicked.camera.unproject(clicked.uv_px)
         w = clicked.inverse_depth_per_m
         keep = valid & (w > 0.0)
@@ -178,7 +178,7 @@ def _seen(R: Array, centre_m: Array, features: Features) -> Array:
 
 
 def _found(image: Grey, at: Array, other: Grey, start: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Where pixels (N, 2) are in another picture, and which of them were found near where they were expected.
+    """Return pixels (N, 2) in another picture, and which of them were found near where they were expected.
 
     The other picture is first taken back by the homography that is expected: LK knows shifts alone.
     """
