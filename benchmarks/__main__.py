@@ -95,6 +95,7 @@ BENCHMARKS = (
     Benchmark("soak", "An hour in the daemon", ("--minutes", "30"), ("--minutes", "2")),
     Benchmark("wire", "A set on the wire", (), ("--repeat", "20")),
     Benchmark("click", "A click", (), ("--sets", "500", "--clicks", "500", "--runs", "3")),
+    Benchmark("measured_clicks", "Clicks measured by themselves", (), ("--scenes", "down-none", "--clicks", "30")),
     Benchmark("web", "The page", (), ("--clicks", "100", "--pictures", "600")),
     Benchmark("seen", "What has been seen", ("--flights", "2"), ("--rows", "flat, straight")),
     Benchmark("fleet", "Many aircraft at one router", (), ("--aircraft", "10", "--operators", "5", "--seconds", "8")),

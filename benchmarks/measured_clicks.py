@@ -6,7 +6,8 @@ Each flight is 10 s at 200 m above a world with edges (simulation/raster.py), 64
 a second; the whole pipeline makes the sets. Clicked are pixels of pictures in the middle of the flight, in their last
 sets, with all pictures kept: on roofs and trees, on ground within 6 m of them, and on open ground. Errors are without
 what all answers of a picture share: along the true ray, less the three modes of inverse depth that the set's own
-features show against the truth (9.4). `inside`: share within 1.645 of the stated own sigma (90 %), `> 3`: beyond three.
+features show against the truth (9.4). `inside`: share within 1.645 of the stated own sigma (90 %), `> 3`: beyond three;
+how well the features show those modes is added to it.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ SHARE_GOAL, MS_GOAL = 0.85, 15.0
 
 @dataclass(frozen=True)
 class Scored:
-    """One click: errors (3,) east, north, up of both answers, one sigma of the measured height, or why not."""
+    """One click: errors (3,) east, north, up of both answers, one sigma of the latter's height, or why not."""
 
     kind: str
     frame: int
@@ -151,7 +152,7 @@ def clicked(
         uv = rng.uniform(10.0, np.subtract(s.camera.size_px, 11.0), (count // PICTURES, 2)).round(1)
         kinds, depth_m = kinds_of(truth, frame, uv)
         rays, _ = s.camera.unproject(uv)
-        shared = shared_of(truth, frame, s)
+        shared, shared_cov = shared_of(truth, frame, s)
         locator = Locator(s)
         for kind, ray, true_m, pixel in zip(kinds, rays, depth_m, uv, strict=True):
             began_s = time.thread_time()
@@ -165,30 +166,39 @@ def clicked(
                 continue
             w_plain = 1.0 / float((s.R_enu_cam.T @ plain.offset_enu_m)[2])
             along = truth.poses[frame].R_enu_cam @ ray * true_m
-            off = float(np.array([1.0, *ray[:2]]) @ shared)
+            h = np.array([1.0, *ray[:2]])
+            off, off_sigma = float(h @ shared), float(np.sqrt(h @ shared_cov @ h))
             # Of a relative error e of inverse depth the place moves by -e along its ray.
             theirs = -along * (w_plain * true_m - 1.0 - off)
             if not answer.is_measured:
                 yield Scored(kind, frame, theirs, None, 0.0, answer.measured.value, ms)
                 continue
             ours = -along * (answer.inverse_depth_per_m * true_m - 1.0 - off)
-            sigma_m = abs(along[2]) * answer.sigma_per_m / answer.inverse_depth_per_m
+            sigma_m = abs(along[2]) * float(np.hypot(answer.sigma_per_m / answer.inverse_depth_per_m, off_sigma))
             yield Scored(kind, frame, theirs, ours, sigma_m, "", ms)
 
 
-def shared_of(truth: Truth, frame: int, s: FeatureSet) -> Array:
-    """The modes (3,) of relative inverse depth by which a set's features are off together: half of them at most lie."""
+def shared_of(truth: Truth, frame: int, s: FeatureSet) -> tuple[Array, Array]:
+    """The modes (3,) of relative inverse depth by which a set's features are off together, weighted as they state their
+    errors, and the modes' own covariance (3, 3) by what is left.
+
+    What lies three sigmas off the others is left out: corners of roofs.
+    """
     points = truth.ground(frame, s.uv_px)
     depth_m = ((points.enu_m - truth.poses[frame].centre_m) @ truth.poses[frame].R_enu_cam)[:, 2]
     off = s.inverse_depth_per_m * depth_m - 1.0
+    sigma = s.sigma_inverse_depth_per_m / s.inverse_depth_per_m
     H = np.column_stack([np.ones(len(s)), s.camera.unproject(s.uv_px)[0][:, :2]])
-    weight = np.where(points.is_valid, 1.0, 0.0)
-    modes = np.zeros(3)
-    for _ in range(20):
-        modes = np.linalg.lstsq(H * np.sqrt(weight)[:, None], off * np.sqrt(weight), rcond=None)[0]
-        left = np.abs(off - H @ modes)
-        weight = np.where(points.is_valid, 1.0 / np.maximum(left, 2e-4), 0.0)  # least absolute values: corners of roofs
-    return np.asarray(modes, float)
+    modes: Array = np.zeros(3)
+    used, spread = points.is_valid, 1.0
+    for _ in range(10):
+        whitened = H[used] / sigma[used, None]
+        modes = np.asarray(np.linalg.lstsq(whitened, off[used] / sigma[used], rcond=None)[0], float)
+        left = np.abs(off - H @ modes) / sigma
+        spread = max(1.0, 1.483 * float(np.median(left[points.is_valid])))
+        used = points.is_valid & (left < 3.0 * spread)
+    whitened = H[used] / (spread * sigma[used, None])
+    return modes, np.asarray(np.linalg.inv(whitened.T @ whitened), float)
 
 
 def kinds_of(truth: Truth, frame: int, uv: Array) -> tuple[list[str], Array]:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from contract.feature_set import Status
+import pytest
+
+from contract.feature_set import Measured, Status
 from demo.__main__ import HEADER, head_text, row_text
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -94,9 +96,17 @@ def test_tables_code_and_captions_are_no_prose() -> None:
     assert len(prose(page + "```\nno = 1\n```\n\n    indented too\n")) == 6
 
 
-def test_every_refusal_has_one_row_on_its_page() -> None:
-    rows = re.findall(r"^\| `(\w+)` \|", (ROOT / "docs" / "refusals.md").read_text(encoding="utf-8"), re.MULTILINE)
-    assert sorted(rows) == sorted(status.value for status in Status if status is not Status.OK)
+@pytest.mark.parametrize(
+    ("section", "words"),
+    [
+        ("# ", [status.value for status in Status if status is not Status.OK]),
+        ("## Not measured", [word.value for word in Measured if word is not Measured.MEASURED]),
+    ],
+)
+def test_every_refusal_and_every_reason_not_to_measure_has_one_row(section: str, words: list[str]) -> None:
+    page = (ROOT / "docs" / "refusals.md").read_text(encoding="utf-8")
+    part = page[page.index(section) :].split("\n## ")[0]
+    assert sorted(re.findall(r"^\| `([\w ]+)` \|", part, re.MULTILINE)) == sorted(words)
 
 
 def test_the_readme_shows_the_demo_s_table_as_the_demo_prints_it() -> None:
