@@ -8,10 +8,6 @@ from typing import NamedTuple
 
 from contract.errors import InputError
 
-SET_ENCODING = "pointclick"
-PICTURE_ENCODING = "pointclick picture"  # a piece of a picture, as it crossed the link
-TRACK_ENCODING = "pointclick tracks"  # reports one after the other, as they crossed the link
-SPOT_ENCODING = "pointclick spots"  # all spots of a picture, as they crossed the link
 METADATA_NAME = "pointclick"
 
 

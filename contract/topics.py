@@ -1,13 +1,14 @@
-"""One table of everything that crosses the link: key expression, payload, rate, quality of service.
+"""One table of everything that crosses the link: key, payload, quality of service, share of the link, place on a disk.
 
-`{vehicle}` is one chunk of a zenoh key. Publisher and ground take the quality of service from here: a topic's own is
-that of its publication, and QUERY that of a query and of its answer (docs/wire-format.md, section 8).
+`{vehicle}` is one chunk of a zenoh key. Publisher, recorders, readers and ground go through TOPICS: a new kind of
+message is a row here, its codec's row in `contract/wire/message.py` and a view (docs/architecture.md). A topic's
+quality of service is that of its publication, and QUERY that of a query and of its answer (docs/wire-format.md, 8).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 ANY_VEHICLE = "*"
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
@@ -24,14 +25,37 @@ class Qos:
     express: bool
 
 
-@dataclass(frozen=True)
+class Counted(NamedTuple):
+    """The words for one and for many messages; the latter is their key in a gap's record, too."""
+
+    one: str
+    many: str
+
+
+@dataclass(frozen=True, eq=False)
 class Topic:
-    """One key and what travels on it. `max_rate_hz` is a limit that the sender keeps, not a measured rate."""
+    """One key and what travels on it. `max_rate_hz` is a limit that the sender keeps, not a measured rate.
+
+    `encoding` is the message encoding of its channel in a recording, `schema` the name of its schema where that is
+    JSON. `recorded`: how the aircraft's recording counts them; None where the aircraft records none.
+    `share` of the bit rate, at most, belongs to a report: only its newest counts, so one that still waits is replaced
+    by the next, and one of an earlier session is dropped. After `patience_s` it goes before new sets.
+    """
 
     template: str
     payload: str
     max_rate_hz: float
     qos: Qos
+    encoding: str = ""
+    schema: str = ""
+    recorded: Counted | None = None
+    share: float = 0.0
+    patience_s: float = 0.0
+
+    @property
+    def name(self) -> str:
+        """The last chunk of the key."""
+        return self.template.rpartition("/")[2]
 
     def key(self, vehicle: str) -> str:
         """The key of one vehicle, or of all with ANY_VEHICLE. Raises ValueError for a name no key can hold."""
@@ -54,10 +78,27 @@ LATEST_ONLY = Qos("BEST_EFFORT", "DROP", "DATA", express=True)
 # gives the answer the quality of its query.
 QUERY = Qos("RELIABLE", "BLOCK", "DATA", express=False)
 
-FEATURES = Topic("pc/{vehicle}/features", "pointclick set, docs/wire-format.md", 30.0, LATEST_ONLY)
+FEATURES = Topic(
+    "pc/{vehicle}/features",
+    "pointclick set, docs/wire-format.md",
+    30.0,
+    LATEST_ONLY,
+    encoding="pointclick",
+    recorded=Counted("set", "sets"),
+)
 
 # How the aircraft is, for people and for dashboards: small, once a second.
-STATUS = Topic("pc/{vehicle}/status", "JSON, docs/wire-format.md section 10", 1.0, LATEST_ONLY)
+STATUS = Topic(
+    "pc/{vehicle}/status",
+    "JSON, docs/wire-format.md section 10",
+    1.0,
+    LATEST_ONLY,
+    encoding="json",
+    schema="pointclick.Status",
+    recorded=Counted("status", "statuses"),
+    share=0.25,
+    patience_s=0.8,
+)
 
 # Small images of keyframes, each in several packets; only what sets, status and replies leave of the bit rate.
 PICTURE = Topic(
@@ -65,15 +106,37 @@ PICTURE = Topic(
     "a piece of an image, docs/wire-format.md section 11",
     100.0,
     Qos("BEST_EFFORT", "DROP", "DATA_LOW", express=True),
+    encoding="pointclick picture",
 )
 
-# Where the things are that are followed: all tracks in one packet.
-TRACKS = Topic("pc/{vehicle}/tracks", "reports of tracks, docs/wire-format.md section 14", 2.0, LATEST_ONLY)
+# Where the things are that are followed: all tracks in one packet. The share is one track's twice a second from
+# 12 kbit/s on, that of eight from 45.
+TRACKS = Topic(
+    "pc/{vehicle}/tracks",
+    "reports of tracks, docs/wire-format.md section 14",
+    2.0,
+    LATEST_ONLY,
+    encoding="pointclick tracks",
+    recorded=Counted("report of tracks", "tracks"),
+    share=0.2,
+    patience_s=0.5,
+)
 
-# What is hotter than the ground about it: all spots of a picture in one packet.
-SPOTS = Topic("pc/{vehicle}/spots", "spots of a picture, docs/wire-format.md section 15", 2.0, LATEST_ONLY)
+# What is hotter than the ground about it: all spots of a picture in one packet. The share is two full packets a second
+# from 47 kbit/s on.
+SPOTS = Topic(
+    "pc/{vehicle}/spots",
+    "spots of a picture, docs/wire-format.md section 15",
+    2.0,
+    LATEST_ONLY,
+    encoding="pointclick spots",
+    recorded=Counted("report of spots", "spots"),
+    share=0.1,
+    patience_s=0.5,
+)
 
 TOPICS: tuple[Topic, ...] = (FEATURES, STATUS, PICTURE, TRACKS, SPOTS)
+REPORTS = tuple(topic for topic in TOPICS if topic.share)
 
 # Queries alone, which begin and end tracks: a key of its own, so that rights can name it.
 FOLLOW = Topic("pc/{vehicle}/follow", "JSON, docs/wire-format.md section 14", 0.0, QUERY)

@@ -30,7 +30,7 @@ from contract.topics import (
     WAIT_PARAMETER,
 )
 from contract.wire.codec import decode
-from contract.wire.message import read_set, read_spots, read_status, read_tracks
+from contract.wire.message import payload_of, read_set
 from ground.aircraft_clock import Moment
 from ground.dropped_messages import DroppedMessages
 from ground.freshness import Later, Reply
@@ -46,12 +46,6 @@ PICTURE_TIMEOUT_S = 8.0  # of a picture asked for by its number or its time, whi
 # for which a coordinator waits.
 RENEW_S = 8.0
 RENEWAL_PERIOD_S = 0.1  # between looks at the link, and at what is in doubt
-# The session that a message states, by the last chunk of its key.
-SESSION_OF: dict[str, Callable[[str, bytes], int]] = {
-    "status": lambda key, payload: read_status(key, payload)[1].session,
-    "tracks": lambda key, payload: next((report.session for report in read_tracks(key, payload)), 0),
-    "spots": lambda key, payload: read_spots(key, payload).session,
-}
 MOST_REFUSING = 256  # vehicles that refuse one question to all: a peer may invent names
 FIRST_RETRY_S = 1.0  # after a renewal that failed; twice as long each time, at most RENEW_S
 
@@ -437,15 +431,15 @@ class SetCache:
             self._on_set(received, size)
 
     def _pass_on(self, wanted: str, take: Callable[[str, bytes], object], sample: zenoh.Sample) -> None:
-        """A message for who has subscribed; not of a session before the one that runs, where its kind states it."""
+        """A message for who has subscribed; no report of a session before the one that runs."""
         key, payload = str(sample.key_expr), sample.payload.to_bytes()
-        of = SESSION_OF.get(wanted.rpartition("/")[2])
-        if of is not None:
+        kind = payload_of(wanted)
+        if kind is not None and kind.is_report:
             vehicle, session = key.split("/")[1], 0
             with contextlib.suppress(WireError, ValueError):  # `take` counts what it cannot read
-                session = of(key, payload)
+                session = kind.stamp_of(key, payload).session
             if not self.is_of_now(vehicle, session):
-                self.dropped.not_accepted(f"{vehicle!r} sends {wanted.rpartition('/')[2]} of an earlier session")
+                self.dropped.not_accepted(f"{vehicle!r} sends {kind.topic.name} of an earlier session")
                 return
         take(key, payload)
 

@@ -17,8 +17,8 @@ from typing import IO, Any
 from contract import recording_format as names
 from contract.errors import InputError, WireError
 from contract.secrets import new_recording
-from contract.topics import FEATURES, PICTURE, SPOTS, STATUS, TRACKS
-from contract.wire.message import peek_set, read_picture_piece, read_spots, read_status, read_tracks
+from contract.topics import FEATURES
+from contract.wire.message import SETS, payload_of
 from ground.dropped_messages import DroppedMessages
 
 MAX_FILES = 50  # at once: a peer may invent vehicles
@@ -68,26 +68,14 @@ class LinkRecorder:
                 self._failure = InputError(f"--to {self._folder}: {error.strerror}")
 
     def _take(self, key: str, payload: bytes) -> None:
-        kind = key.rpartition("/")[2]
-        vehicle = FEATURES.vehicle(f"{key.rpartition('/')[0]}/features")
-        if key == FEATURES.key(vehicle):
-            identity = peek_set(key, payload)
-            session, at_ns, encoding = identity.session, identity.capture_unix_ns, names.SET_ENCODING
-            self._current[vehicle] = max(session, self._current.get(vehicle, 0))
-        elif key == STATUS.key(vehicle):
-            _, status = read_status(key, payload)
-            session, at_ns, encoding = status.session, max(round(status.unix_s * 1e9), 0), "json"
-        elif key == PICTURE.key(vehicle):
-            whole = read_picture_piece(key, payload).whole
-            session, at_ns, encoding = whole.session, whole.capture_unix_ns, names.PICTURE_ENCODING
-        elif key == TRACKS.key(vehicle):
-            first, *_ = read_tracks(key, payload)
-            session, at_ns, encoding = first.session, first.capture_unix_ns, names.TRACK_ENCODING
-        elif key == SPOTS.key(vehicle):
-            report = read_spots(key, payload)
-            session, at_ns, encoding = report.session, report.capture_unix_ns, names.SPOT_ENCODING
+        before, _, name = key.rpartition("/")
+        vehicle, kind = FEATURES.vehicle(f"{before}/features"), payload_of(key)
+        if kind is None:
+            session, at_ns, encoding = self._current.get(vehicle, 0), time.time_ns(), name
         else:
-            session, at_ns, encoding = self._current.get(vehicle, 0), time.time_ns(), kind
+            (session, at_ns), encoding = kind.stamp_of(key, payload), kind.topic.encoding
+        if kind is SETS:
+            self._current[vehicle] = max(session, self._current.get(vehicle, 0))
         if not session:
             self._left_out += 1  # before the first session nothing can be clicked
             return

@@ -4,37 +4,30 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
-from contract.errors import WireError
 from contract.track import TrackReport, Unseen
 from contract.track_age import as_of
-from contract.wire.message import read_tracks
+from contract.wire.message import TRACK_REPORTS
+from ground.report_view import ReportView
 
 MOST = 1000  # tracks: a peer may invent vehicles
 OLD_S = 60.0  # an older report is no track that is followed now, though it came just now
 SILENT_S = 5.0  # after which a track is no longer there: it is reported twice a second
 
 
-def reports_in(key: str, payload: bytes) -> list[TrackReport]:
-    """The track reports in a message of the link; none if it is no message of tracks."""
-    try:
-        return read_tracks(key, payload)
-    except (ValueError, WireError):
-        return []
+class ReceivedTracks(ReportView[TrackReport]):
+    """A view of the newest; what is read at once is taken for received at once."""
 
-
-class ReceivedTracks:
-    """`take` is for a subscription (`SetCache`'s `subscriptions`)."""
+    payload = TRACK_REPORTS
 
     def __init__(self, monotonic_s: Callable[[], float] = time.monotonic) -> None:
         self._monotonic_s = monotonic_s
         self._received: dict[tuple[str, int], tuple[TrackReport, float]] = {}
         self._lock = threading.Lock()
 
-    def take(self, key: str, payload: bytes) -> None:
-        """A message; what is none of ours is passed over."""
-        reports = reports_in(key, payload)
+    def add(self, reports: Iterable[TrackReport]) -> None:
+        """Take reports that have just come."""
         now_s = self._monotonic_s()
         with self._lock:
             self._received = {key: held for key, held in self._received.items() if now_s - held[1] <= SILENT_S}

@@ -8,6 +8,7 @@ from contract import recording_format as names
 from contract.errors import WireError
 from contract.mcap_records import CHANNEL, MESSAGE, MESSAGE_HEAD, Data, mapped, read_channel, records
 from contract.picture import LinkPicture
+from contract.topics import PICTURE
 from contract.wire.message import read_picture_piece
 from contract.wire.picture_code import Whole, join, read_piece
 from ground.link_pictures import Identity
@@ -58,7 +59,7 @@ class RecordedLinkPictures:
         for opcode, start, length in records(data, lambda _: None):
             if opcode == CHANNEL:
                 channel, topic, encoding = read_channel(bytes(data[start : start + length]))
-                if encoding == names.PICTURE_ENCODING:
+                if encoding == PICTURE.encoding:
                     channels[channel] = topic
             elif opcode == MESSAGE and (data[start] | data[start + 1] << 8) in channels:
                 topic = channels[data[start] | data[start + 1] << 8]

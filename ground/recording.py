@@ -15,21 +15,18 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from contract import recording_format as names
 from contract.errors import ForeignMessage, InputError, WireError
 from contract.feature_set import FeatureSet, Status
 from contract.mcap_records import CHANNEL, CHUNK, MAGIC, MESSAGE, MESSAGE_HEAD, Damage, Data, read_channel, records
-from contract.spot import SpotReport
-from contract.topics import SPOTS, TIME_TOLERANCE_S, TRACKS
-from contract.track import TrackReport
+from contract.topics import TIME_TOLERANCE_S
 from contract.wire.codec import decode
-from contract.wire.message import peek_set
-from contract.wire.spot_code import decode_spots
-from contract.wire.track_code import decode_tracks
+from contract.wire.message import SETS, Payload, payload_of, peek_set
 from ground.dropped_messages import DroppedMessages
 
+T = TypeVar("T")
 _Found = tuple[str, str, int, int]  # topic, encoding, start and length of a message
 _FRAMES_BEFORE, _FRAMES_AFTER = names.FRAMES.split("{vehicle}")
 
@@ -57,8 +54,8 @@ class _Index:
     frames: dict[str, list[tuple[int, int, int]]] = field(
         default_factory=dict
     )  # by vehicle: file, start, length of frame events
-    tracks: dict[str, list[tuple[int, int, int]]] = field(default_factory=dict)  # likewise, of reports of tracks
-    spots: dict[str, list[tuple[int, int, int]]] = field(default_factory=dict)
+    # Keys and places of the reports, by topic and vehicle.
+    reports: dict[tuple[str, str], list[tuple[str, int, int, int]]] = field(default_factory=dict)
 
 
 class Recording:
@@ -132,24 +129,11 @@ class Recording:
             return None
         return self._decoded(held)
 
-    def tracks(self, vehicle: str) -> list[TrackReport]:
-        """The reports of things followed in flight, in recorded order; what cannot be read is left out."""
-        out: list[TrackReport] = []
-        for file, start, length in self._index.tracks.get(vehicle, []):
-            with contextlib.suppress(WireError):
-                out += decode_tracks(bytes(self._data[file][start : start + length]), vehicle)
-        return out
-
-    def spots(self, vehicles: Iterable[str]) -> list[SpotReport]:
-        """The hot spots that were found in flight, picture by picture in the order of capture, whoever's; what cannot
-        be read is left out.
-        """
-        out: list[SpotReport] = []
-        for vehicle in vehicles:
-            for file, start, length in self._index.spots.get(vehicle, []):
-                with contextlib.suppress(WireError):
-                    out.append(decode_spots(bytes(self._data[file][start : start + length]), vehicle))
-        return sorted(out, key=lambda report: report.capture_unix_ns)
+    def reports(self, kind: Payload[T], vehicles: Iterable[str]) -> list[T]:
+        """The reports of a kind from flight, each vehicle's in recorded order; what cannot be read is left out."""
+        places = [place for name in vehicles for place in self._index.reports.get((kind.topic.name, name), [])]
+        messages = ((key, bytes(self._data[file][start : start + length])) for key, file, start, length in places)
+        return [report for key, message in messages for report in kind.found(key, message)]
 
     def frame_of_file(self, vehicle: str, name: str) -> int | None:
         """The frame a picture file of this name was. Raises InputError if the recording holds no names."""
@@ -187,7 +171,8 @@ class Recording:
             raise InputError(f"recording {self.path}: the set of frame {held.frame}: {error}") from error
 
     def _note(self, topic: str, encoding: str, file: int, start: int, length: int) -> None:
-        if encoding == names.SET_ENCODING:
+        kind = _recorded(topic, encoding)
+        if kind is SETS:
             try:
                 identity = peek_set(topic, self._data[file][start : start + length])
             except ForeignMessage as error:
@@ -201,12 +186,10 @@ class Recording:
                 sets[identity.frame] = _Held(
                     identity.frame, identity.revision, identity.capture_unix_ns, identity.status, file, start, length
                 )
-        elif encoding == names.TRACK_ENCODING:
+        elif kind is not None:
             with contextlib.suppress(ValueError):
-                self._index.tracks.setdefault(TRACKS.vehicle(topic), []).append((file, start, length))
-        elif encoding == names.SPOT_ENCODING:
-            with contextlib.suppress(ValueError):
-                self._index.spots.setdefault(SPOTS.vehicle(topic), []).append((file, start, length))
+                of = kind.topic.name, kind.topic.vehicle(topic)
+                self._index.reports.setdefault(of, []).append((topic, file, start, length))
         elif vehicle_name := _frames_vehicle(topic):
             self._index.frames.setdefault(vehicle_name, []).append((file, start, length))
 
@@ -242,7 +225,7 @@ def _messages(data: Data, damaged: Callable[[Damage], None]) -> Iterator[_Found]
                 yield *known, start + MESSAGE_HEAD.size, length - MESSAGE_HEAD.size
         elif opcode == CHANNEL:
             channel, topic, encoding = read_channel(bytes(data[start : start + length]))
-            if encoding in (names.SET_ENCODING, names.TRACK_ENCODING, names.SPOT_ENCODING) or _frames_vehicle(topic):
+            if _recorded(topic, encoding) is not None or _frames_vehicle(topic):
                 channels[channel] = topic, encoding
 
 
@@ -267,6 +250,13 @@ def _chunked_messages(path: Path) -> tuple[bytes, list[_Found], str]:
                 raise InputError(f"recording {path}: {error}") from error
             trouble = f"cannot be read to its end ({error or type(error).__name__})"
     return bytes(kept), found, trouble
+
+
+def _recorded(topic: str, encoding: str) -> Payload[Any] | None:
+    """The kind of a channel's messages, if it is that of sets or of a report."""
+    kind = payload_of(topic)
+    is_ours = kind is not None and kind.topic.encoding == encoding and (kind is SETS or kind.is_report)
+    return kind if is_ours else None
 
 
 def _frames_vehicle(topic: str) -> str:

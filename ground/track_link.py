@@ -14,7 +14,7 @@ from contract.errors import LinkError, WireError
 from contract.link_config import Tls
 from contract.topics import FOLLOW, TRACKS
 from contract.track import ListTracks, StartTrack, TrackReport, TrackRequest, parameters_of
-from contract.wire.message import read_tracks
+from contract.wire.message import TRACK_REPORTS
 from ground.client import open_link, put_question, running_session, several_aircraft
 from ground.presence import vehicles_there
 
@@ -97,7 +97,7 @@ class TrackLink:
     def _receive(self, sample: zenoh.Sample) -> None:
         """Queue a message's reports, called in zenoh's thread; the oldest go where the queue is full."""
         try:
-            reports = read_tracks(str(sample.key_expr), sample.payload.to_bytes())
+            reports = TRACK_REPORTS.read(str(sample.key_expr), sample.payload.to_bytes())
         except (WireError, ValueError):
             self.unreadable += 1
             return

@@ -8,7 +8,8 @@ from collections import deque
 from collections.abc import Iterable
 
 from contract.track import TrackReport, TrackState
-from ground.received_tracks import reports_in
+from contract.wire.message import TRACK_REPORTS
+from ground.report_view import ReportView
 
 MOST_TRACKS = 500  # paths: a peer may invent vehicles and numbers
 MOST_OF_ONE = 7200  # reports: an hour of one track
@@ -18,18 +19,16 @@ Path = tuple[TrackReport, ...]
 _Key = tuple[str, int, int]  # vehicle, session, number
 
 
-class TrackPaths:
-    """`take` is for a subscription. A number that comes again after its track was lost is another thing."""
+class TrackPaths(ReportView[TrackReport]):
+    """A number that comes again after its track was lost is another thing."""
+
+    payload = TRACK_REPORTS
 
     def __init__(self) -> None:
         self._paths: dict[_Key, list[TrackReport]] = {}
         self._news: deque[TrackReport] = deque(maxlen=MOST_NEWS)
         self._version = 0
         self._lock = threading.Lock()
-
-    def take(self, key: str, payload: bytes) -> None:
-        """A message of the link; what is none of ours is passed over."""
-        self.add(reports_in(key, payload))
 
     def add(self, reports: Iterable[TrackReport]) -> None:
         """Reports in any order; one that is known, as of an aircraft received twice, changes nothing."""

@@ -1,6 +1,6 @@
 // Requests to the server that served the page, and its events.
 
-import type { ClickBody, CoordinateReply, FireReply, FoundSpot, FrameRow, FrameView, Handoff, Pin, PinReply, PlaceReply, Seen, SeenAt, SeenPicture, SeenState, ServerEvent, ServerStatus, Tie, TrackReport } from "./types.js";
+import type { ClickBody, CoordinateReply, FireReply, FoundSpot, FrameRow, FrameView, Handoff, News, Pin, PinReply, PlaceReply, Seen, SeenAt, SeenPicture, SeenState, ServerEvent, ServerStatus, Tie } from "./types.js";
 
 export class Refused extends Error {
   constructor(readonly status: number, message: string, readonly body: unknown) { super(message); }
@@ -41,10 +41,11 @@ export const api = {
   seenAt: (lat: number, lon: number) => asked<SeenAt>(`/api/seen/at?lat=${lat}&lon=${lon}`),
   seenPixel: (at: SeenPicture, lat: number, lon: number) =>
     asked<{ u_px: number; v_px: number }>(`${frameUrl(at.vehicle, at.session, at.frame, "pixel")}&lat=${lat}&lon=${lon}`),
-  tracks: () => asked<{ version: number; tracks: TrackReport[][] }>("/api/tracks"),
+  /** All of one of the server's views: a list, or of each thing its own. */
+  all: async <K extends keyof News>(what: K): Promise<News[K][]> =>
+    (await asked<Record<K, (News[K] | News[K][])[]>>(`/api/${what}`))[what].flat() as News[K][],
   follow: (body: ClickBody) => asked<{ vehicle: string; track: number; frame: number }>("/api/tracks", "POST", body),
   endTrack: (vehicle: string, track: number) => asked<unknown>(`/api/tracks/${part(vehicle)}/${track}`, "DELETE"),
-  spots: () => asked<{ version: number; spots: FoundSpot[] }>("/api/spots"),
   fire: (minutes: string) => asked<FireReply>(`/api/fire?minutes=${minutes}`),
   confirmSpot: (spot: number, body: { category: string; who: string }) => asked<Pin>(`/api/spots/${spot}/confirm`, "POST", body),
   dismissSpot: (spot: number, who: string) => asked<unknown>(`/api/spots/${spot}/dismiss`, "POST", { who }),

@@ -17,7 +17,7 @@ import { Readout } from "./readout.js";
 import { KINDS, shapeSvg } from "./shapes.js";
 import { State, type Peek } from "./state.js";
 import { StatusStrip } from "./strip.js";
-import type { Pin, SeenPicture, ServerEvent } from "./types.js";
+import type { News, Pin, SeenPicture, ServerEvent } from "./types.js";
 import { Viewer } from "./viewer.js";
 
 const state = new State();
@@ -39,7 +39,7 @@ async function refresh(): Promise<void> {
   byId("source").title = status.source;
   document.body.classList.toggle("recorded", !status.is_live);
   document.body.dataset["role"] = status.role;
-  await Promise.all([refreshPins(), refreshTracks(), refreshSpots(), ...status.vehicles.map((vehicle) => refreshFrames(vehicle.id))]);
+  await Promise.all([refreshPins(), refreshNews("tracks"), refreshNews("spots"), ...status.vehicles.map((vehicle) => refreshFrames(vehicle.id))]);
   state.notify("vehicles");
 }
 
@@ -50,12 +50,7 @@ async function refreshFrames(vehicle: string): Promise<void> {
   state.merge(vehicle, rows);
 }
 
-async function refreshTracks(): Promise<void> {
-  const { tracks } = await api.tracks();
-  state.putTracks(tracks.flat(), true);
-}
-
-async function refreshSpots(): Promise<void> { state.putSpots((await api.spots()).spots, true); }
+async function refreshNews<K extends keyof News>(what: K): Promise<void> { state.put(what, await api.all(what), true); }
 
 let isRefreshing = false, isRefreshDue = false;
 async function refreshPins(): Promise<void> {
@@ -83,8 +78,8 @@ function onEvent(event: ServerEvent): void {
     case "pin": state.putPin(event.pin, event.revision); decided(); return;
     case "pin_deleted": state.dropPin(event.id, event.revision); decided(); return;
     case "pins": void refreshPins(); decided(); return;
-    case "spots": state.putSpots(event.spots); return;
-    case "tracks": state.putTracks(event.reports); return;
+    case "spots": state.put("spots", event.spots); return;
+    case "tracks": state.put("tracks", event.tracks); return;
     case "resync": void refresh(); return;
     case "status":
       state.setVehicles(event.vehicles);
@@ -95,7 +90,7 @@ function onEvent(event: ServerEvent): void {
 }
 
 /** A pin may be what somebody decided of a machine's find. */
-function decided(): void { if (state.spots.size > 0) void refreshSpots(); }
+function decided(): void { if (state.spots.size > 0) void refreshNews("spots"); }
 
 /** The state of sharing, and what of the source cannot be read. */
 function drawNotes(sharing: string, damage: string[]): void {

@@ -1,9 +1,9 @@
 // The page's state, in one place, and the functions that are called when it changes.
 
 import { captureMs, mergeReports, tracksAt, type TrackNow } from "./tracks.js";
-import type { Category, FoundSpot, FrameRow, FrameView, Pin, ServerStatus, Tie, TrackReport, VehicleState } from "./types.js";
+import type { Category, FoundSpot, FrameRow, FrameView, News, Pin, ServerStatus, Tie, TrackReport, VehicleState } from "./types.js";
 
-export type Topic = "vehicles" | "frames" | "shown" | "pins" | "hover" | "selected" | "options" | "link" | "mode" | "tracks" | "spots";
+export type Topic = "vehicles" | "frames" | "shown" | "pins" | "hover" | "selected" | "options" | "link" | "mode" | keyof News;
 
 /** What the next click in the picture is for. */
 export type Mode = { kind: "pin" } | { kind: "again"; pin: string } | { kind: "tie" };
@@ -35,7 +35,11 @@ export class State {
   private order: Pin[] | null = null;
   ties: Tie[] = [];
   readonly spots = new Map<number, FoundSpot>();
-  private readonly tracks = new Map<string, TrackReport[]>();
+  readonly tracks = new Map<string, TrackReport[]>();
+  private readonly merging: { readonly [K in keyof News]: (news: readonly News[K][]) => void } = {
+    tracks: (reports) => { mergeReports(this.tracks, reports); },
+    spots: (spots) => { for (const spot of spots) this.spots.set(spot.spot, spot); },
+  };
   hovered: string | null = null;
   selected: string | null = null;
   isConnected = false;
@@ -119,18 +123,11 @@ export class State {
   /** Whether this browser's token may change anything. */
   get mayChange(): boolean { return this.server?.role !== "viewer"; }
 
-  /** Reports that came; with all of them, what was held is forgotten first. */
-  putTracks(reports: readonly TrackReport[], isAll = false): void {
-    if (isAll) this.tracks.clear();
-    mergeReports(this.tracks, reports);
-    this.notify("tracks");
-  }
-
-  /** Machine's finds that came; with all of them, what was held is forgotten first. */
-  putSpots(spots: readonly FoundSpot[], isAll = false): void {
-    if (isAll) this.spots.clear();
-    for (const spot of spots) this.spots.set(spot.spot, spot);
-    this.notify("spots");
+  /** What came of a view of the server; with all of it, what was held is forgotten first. */
+  put<K extends keyof News>(what: K, news: readonly News[K][], isAll = false): void {
+    if (isAll) this[what].clear();
+    this.merging[what](news);
+    this.notify(what);
   }
 
   /** Those that wait for a person: more than one picture shows them. The hottest first. */

@@ -87,14 +87,17 @@ export interface Handoff { texts: { name: string; title: string; text: string }[
 
 export interface ClickBody { vehicle: string; session: number; frame: number; u: number; v: number }
 
+/** What the server has views of: /api/NAME has all of them, an event of that name those that are new. */
+export interface News { tracks: TrackReport; spots: FoundSpot }
+
 export type ServerEvent =
   | { type: "frames"; vehicle: string; frames: FrameRow[] }
   | { type: "pin"; revision: number; pin: Pin }
   | { type: "pin_deleted"; revision: number; id: string }
   | { type: "pins" }
   | { type: "resync" }
-  | { type: "tracks"; reports: TrackReport[] }
-  | { type: "spots"; spots: FoundSpot[] }
+  | { type: "tracks"; tracks: News["tracks"][] }
+  | { type: "spots"; spots: News["spots"][] }
   | { type: "status"; vehicles: VehicleState[]; damage: string[]; sharing: string };
 
 /** What a machine found; a person may have decided on it. */

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from contract.errors import LinkError
 from contract.feature_set import FeatureSet
-from contract.topics import ANY_VEHICLE, SPOTS, TRACKS
+from contract.topics import ANY_VEHICLE
 from contract.track import TrackReport
 from contract.track_age import LOST_AFTER_S
 from ground.commands import ANSWERED
@@ -27,6 +27,7 @@ from ground.pins.machine import decision, decisions
 from ground.pins.places import Places
 from ground.pins.store import PinStore
 from ground.received_tracks import ReceivedTracks
+from ground.report_view import subscriptions
 from ground.spots.found_thing import FoundThing
 from ground.spots.received import ReceivedSpots
 
@@ -121,13 +122,13 @@ class _aircraft:  # noqa: N801  called like a function
         self._tracks, self._spots = ReceivedTracks(), ReceivedSpots()
         self._recording = None if args.recording is None else opened(args.recording)
         if self._recording is not None:
-            self._spots.add(self._recording.spots(self._recording.vehicles))
+            self._spots.read(self._recording, self._recording.vehicles)
         else:
             from ground.client import SetCache  # noqa: PLC0415  zenoh is loaded only where there is a link
 
             tls, vehicle = tls_of(args), args.vehicle or ANY_VEHICLE
-            subscriptions = {TRACKS.key(vehicle): self._tracks.take, SPOTS.key(vehicle): self._spots.take}
-            self._cache = SetCache(endpoint_of(args, tls), vehicle, tls=tls, subscriptions=subscriptions)
+            filled = subscriptions(vehicle, self._tracks, self._spots)
+            self._cache = SetCache(endpoint_of(args, tls), vehicle, tls=tls, subscriptions=filled)
             until = time.monotonic() + self.WAIT_S
             while time.monotonic() < until and not self():
                 time.sleep(0.05)

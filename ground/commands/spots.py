@@ -16,6 +16,7 @@ from pathlib import Path
 from contract.geodesy import metres_per_degree
 from contract.spot import SpotReport
 from contract.topics import ANY_VEHICLE, SPOTS
+from contract.wire.message import SPOT_REPORTS
 from ground.commands import ANSWERED, REFUSED
 from ground.commands.saving import save
 from ground.commands.sources import add_source_arguments, opened, vehicle_of
@@ -25,9 +26,10 @@ from ground.formats import fire_area
 from ground.formats.documents import FORMATS, one_line
 from ground.formats.mark import Mark
 from ground.link_options import UsageError, endpoint_of, tls_of
+from ground.report_view import subscriptions
 from ground.spots.fire import HOT_C, Fire, FireGround
 from ground.spots.found_thing import FoundThing
-from ground.spots.received import ReceivedSpots, reports_in
+from ground.spots.received import ReceivedSpots
 
 EXAMPLES = """\
 examples:
@@ -116,11 +118,11 @@ def _reports(args: argparse.Namespace) -> Iterator[list[SpotReport]]:
     tls, vehicle, came = tls_of(args), args.vehicle or ANY_VEHICLE, list[SpotReport]()
 
     def take(key: str, payload: bytes) -> None:
-        came.extend(reports_in(key, payload))
+        came.extend(SPOT_REPORTS.found(key, payload))
 
     began_s = time.monotonic()
-    subscriptions = {SPOTS.key(vehicle): take}
-    with SetCache(endpoint_of(args, tls), vehicle, tls=tls, max_sets=1, subscriptions=subscriptions), until_ended():
+    taken_by = {SPOTS.key(vehicle): take}
+    with SetCache(endpoint_of(args, tls), vehicle, tls=tls, max_sets=1, subscriptions=taken_by), until_ended():
         while args.seconds is None or time.monotonic() < began_s + args.seconds:
             time.sleep(FIRE_S if args.seconds is None else min(FIRE_S, args.seconds))
             taken, came[:] = list(came), []
@@ -128,13 +130,12 @@ def _reports(args: argparse.Namespace) -> Iterator[list[SpotReport]]:
 
 
 def _in_recording(args: argparse.Namespace) -> list[SpotReport]:
-    """The reports of one vehicle in a recording, or of all."""
+    """The reports of one vehicle in a recording, or of all, in the order of capture."""
     if args.seconds is not None:
         raise UsageError("--seconds is for a live aircraft")
     recording = opened(args.recording)
-    return recording.spots(
-        recording.vehicles if args.vehicle is None else [vehicle_of(args.vehicle, recording.vehicles)]
-    )
+    vehicles = recording.vehicles if args.vehicle is None else [vehicle_of(args.vehicle, recording.vehicles)]
+    return sorted(recording.reports(SPOT_REPORTS, vehicles), key=lambda report: report.capture_unix_ns)
 
 
 def _recorded(args: argparse.Namespace) -> ReceivedSpots:
@@ -155,8 +156,8 @@ def _live(args: argparse.Namespace) -> ReceivedSpots:
     until_s = None if args.seconds is None else time.monotonic() + args.seconds
     reported: dict[int, FoundThing] = {}
     version = 0
-    subscriptions = {SPOTS.key(vehicle): received.take}
-    with SetCache(endpoint_of(args, tls), vehicle, tls=tls, max_sets=1, subscriptions=subscriptions), until_ended():
+    filled = subscriptions(vehicle, received)
+    with SetCache(endpoint_of(args, tls), vehicle, tls=tls, max_sets=1, subscriptions=filled), until_ended():
         while until_s is None or time.monotonic() < until_s:
             version, changed = received.since(version)
             for thing in changed:

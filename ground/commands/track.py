@@ -16,6 +16,7 @@ from contract.errors import LinkError
 from contract.topics import DEFAULT_ENDPOINT
 from contract.track import ListTracks, StartTrack, StopTrack, TrackReport, TrackState, Unseen
 from contract.track_age import as_of
+from contract.wire.message import TRACK_REPORTS
 from ground.commands import ANSWERED, REFUSED
 from ground.commands.saving import save
 from ground.commands.sources import opened, vehicle_of
@@ -110,7 +111,7 @@ def _recorded(args: argparse.Namespace) -> int:
     if args.u is not None or args.list or args.stop is not None:
         raise UsageError("--from shows what was followed in flight: without U, V, --list and --stop")
     recording = opened(args.recording)
-    reports = recording.tracks(vehicle_of(args.vehicle, recording.vehicles))
+    reports = recording.reports(TRACK_REPORTS, [vehicle_of(args.vehicle, recording.vehicles)])
     for report in reports:
         print(report.to_json() if args.json else report.to_text())
     if args.save is not None:

@@ -18,11 +18,11 @@ from contract.error_sources import in_a_line
 from contract.errors import WireError
 from contract.feature_set import FeatureSet
 from contract.locate import Locator
-from contract.topics import ANY_VEHICLE, SPOTS, STATUS, TRACKS
+from contract.topics import ANY_VEHICLE, STATUS
 from contract.track import TrackReport, Unseen
 from contract.track_age import as_of
 from contract.vehicle_status import VehicleStatus
-from contract.wire.message import read_status
+from contract.wire.message import TRACK_REPORTS, read_status
 from ground.commands import ANSWERED
 from ground.commands.sources import add_source_arguments, opened
 from ground.commands.values import positive, whole
@@ -34,6 +34,7 @@ from ground.last_received import LastReceived
 from ground.link_options import endpoint_of, tls_of
 from ground.received_tracks import SILENT_S, ReceivedTracks
 from ground.recording import Recording
+from ground.report_view import subscriptions
 from ground.spots.found_thing import FoundThing
 from ground.spots.received import ReceivedSpots
 
@@ -98,7 +99,7 @@ def run(args: argparse.Namespace) -> int:
         rows = [_row(name, recording.newest_picture(name), None, 0.0, None) for name in names]
         followed = [report for name in names for report in _last_followed(recording, name)]
         found = ReceivedSpots()
-        found.add(recording.spots(names))
+        found.read(recording, names)
         _show(rows, [*followed, *_recent(found)], args.json, False)
         return ANSWERED
     from ground.client import SetCache  # noqa: PLC0415  zenoh is loaded only where there is a link
@@ -106,10 +107,8 @@ def run(args: argparse.Namespace) -> int:
     tls = tls_of(args)
     vehicle = args.vehicle or ANY_VEHICLE
     received, tracks, found = _Received(), ReceivedTracks(), ReceivedSpots()
-    subscriptions = {
-        STATUS.key(vehicle): received.status, TRACKS.key(vehicle): tracks.take, SPOTS.key(vehicle): found.take
-    }  # fmt: skip
-    cache = SetCache(endpoint_of(args, tls), vehicle, tls=tls, subscriptions=subscriptions, on_set=received.set)
+    filled = {STATUS.key(vehicle): received.status, **subscriptions(vehicle, tracks, found)}
+    cache = SetCache(endpoint_of(args, tls), vehicle, tls=tls, subscriptions=filled, on_set=received.set)
     is_screen = sys.stdout.isatty() and not args.json
     warnings = Warnings()
     with cache:
@@ -221,7 +220,7 @@ def _row(
 
 def _last_followed(recording: Recording, vehicle: str) -> list[TrackReport]:
     """The last report of every thing that was followed when a recording ended, as of its end, by number."""
-    newest, reports = recording.newest_picture(vehicle), recording.tracks(vehicle)
+    newest, reports = recording.newest_picture(vehicle), recording.reports(TRACK_REPORTS, [vehicle])
     end_ns = max(0 if newest is None else newest.capture_unix_ns, *(r.capture_unix_ns for r in reports), 0)
     held = {r.number: (r, (end_ns - r.capture_unix_ns) / 1e9) for r in reports}
     recent = [held[number] for number in sorted(held) if held[number][1] <= SILENT_S]

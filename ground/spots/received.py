@@ -5,24 +5,18 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterable
 
-from contract.errors import WireError
 from contract.spot import SpotReport
-from contract.wire.message import read_spots
+from contract.wire.message import SPOT_REPORTS
+from ground.report_view import ReportView
 from ground.spots.fire import Fire, FireGround
 from ground.spots.found_thing import FoundThing
 from ground.spots.merging import SpotMerger
 
 
-def reports_in(key: str, payload: bytes) -> list[SpotReport]:
-    """The report in a message of the link; none if it is no message of spots."""
-    try:
-        return [read_spots(key, payload)]
-    except (ValueError, WireError):
-        return []
+class ReceivedSpots(ReportView[SpotReport]):
+    """A view of them as things, each with its number."""
 
-
-class ReceivedSpots:
-    """`take` is for a subscription (`SetCache`'s `subscriptions`)."""
+    payload = SPOT_REPORTS
 
     def __init__(self) -> None:
         self._merger = SpotMerger()
@@ -31,14 +25,10 @@ class ReceivedSpots:
         self._version = 0
         self._lock = threading.Lock()
 
-    def take(self, key: str, payload: bytes) -> None:
-        """A message of the link; what is none of ours is passed over."""
-        self.add(reports_in(key, payload))
-
     def add(self, reports: Iterable[SpotReport]) -> None:
-        """Reports of pictures, those of one session in the order of capture."""
+        """Reports of pictures, in any order among themselves; those of one session after all of earlier pictures."""
         with self._lock:
-            for report in reports:
+            for report in sorted(reports, key=lambda report: report.capture_unix_ns):
                 self._version += 1
                 self._fire.add(report)
                 for thing in self._merger.add(report):

@@ -36,7 +36,7 @@ class Dismissed(BaseModel):
 def spots_router(context: ServerContext) -> APIRouter:
     """Routes below /api."""
     router = APIRouter(tags=["hot spots"])
-    received = context.source.spots
+    received = context.source.views.spots
 
     def thing(number: int) -> FoundThing:
         found = received.thing(number)

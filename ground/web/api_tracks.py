@@ -22,8 +22,8 @@ def tracks_router(context: ServerContext) -> APIRouter:
 
     @router.get("/tracks", summary="What is or was followed: of each thing its reports, in capture order")
     def tracks(most: Annotated[int, Query(ge=2, le=7200)] = MOST_OF_A_PATH) -> dict[str, Any]:
-        paths = source.tracks.paths(most)
-        return {"version": source.tracks.version, "tracks": [[track_json(r) for r in path] for path in paths]}
+        paths = source.views.tracks.paths(most)
+        return {"version": source.views.tracks.version, "tracks": [[track_json(r) for r in path] for path in paths]}
 
     @router.post("/tracks", status_code=201, summary="Follow what is at a pixel of a picture, seconds old or new")
     def begin(body: ClickBody) -> dict[str, Any]:

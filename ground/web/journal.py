@@ -10,9 +10,9 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from contract import recording_format as names
 from contract.errors import InputError
 from contract.mcap_records import CHANNEL, MESSAGE, MESSAGE_HEAD, mapped, read_channel, records
+from contract.topics import STATUS, TOPICS
 from ground.link_recorder import LinkRecorder
 from ground.watched_thread import WatchedThread
 
@@ -20,7 +20,7 @@ MAX_BYTES = 2_000_000_000  # of earlier flights, when the server is started
 MIN_FREE_BYTES = 200_000_000
 SYNC_S = 2.0
 
-_READ = (names.SET_ENCODING, names.PICTURE_ENCODING, names.TRACK_ENCODING, names.SPOT_ENCODING)
+_READ = {topic.encoding for topic in TOPICS if topic is not STATUS}  # the state of before is of no use
 
 Kept = tuple[str, str, bytes]
 """A message's key, its encoding, and the message."""

@@ -14,13 +14,12 @@ from collections import OrderedDict, deque
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from contract import recording_format as names
 from contract.errors import LinkError, WireError
 from contract.feature_set import FeatureSet
 from contract.history import Entry
 from contract.link_config import Tls
 from contract.supervised_thread import Policy, SupervisedThread
-from contract.topics import ANY_VEHICLE, PICTURE, SPOTS, STATUS, TRACKS
+from contract.topics import ANY_VEHICLE, PICTURE, STATUS
 from contract.track import TrackRequest
 from contract.vehicle_status import VehicleStatus
 from contract.wire.message import read_set, read_status
@@ -28,12 +27,11 @@ from ground.client import PICTURE_TIMEOUT_S, SetCache, inquire
 from ground.last_received import LastReceived
 from ground.link_pictures import PictureCache
 from ground.mavlink_endpoint import SCHEME
-from ground.spots.received import ReceivedSpots
+from ground.report_view import subscriptions
 from ground.track_link import TrackLink
-from ground.track_paths import TrackPaths
 from ground.web.journal import Journal
 from ground.web.refill import Refill
-from ground.web.source import FrameRow, Picture, VehicleReport
+from ground.web.source import FrameRow, Picture, VehicleReport, Views
 
 HISTORY_S = 3600.0
 HISTORY_SETS = 20_000
@@ -79,7 +77,7 @@ class LiveSource:
         self._asked: OrderedDict[tuple[str, int], tuple[float, FeatureSet | None]] = OrderedDict()
         self._caches: dict[str, SetCache] = {}
         self._pictures = PictureCache()
-        self.tracks, self.spots = TrackPaths(), ReceivedSpots()
+        self.views = Views()
         self._journal = None if journal is None else Journal(journal)
         keep = {} if self._journal is None else {KEPT_KEYS: self._journal.take}
         with contextlib.ExitStack() as opened:
@@ -92,8 +90,7 @@ class LiveSource:
                     subscriptions={
                         STATUS.key(ANY_VEHICLE): self._note_status,
                         PICTURE.key(ANY_VEHICLE): self._note_picture,
-                        TRACKS.key(ANY_VEHICLE): self.tracks.take,
-                        SPOTS.key(ANY_VEHICLE): self.spots.take,
+                        **subscriptions(ANY_VEHICLE, *self.views),
                         **keep,
                     },
                     on_set=self._note_set,
@@ -235,9 +232,8 @@ class LiveSource:
     def _read_journal(self, thread: SupervisedThread) -> None:
         """Take what earlier runs of this server received in the last hour, the newest file first."""
         takes: dict[str, Callable[[str, bytes], object]] = {
-            names.PICTURE_ENCODING: self._pictures.take,
-            names.TRACK_ENCODING: self.tracks.take,
-            names.SPOT_ENCODING: self.spots.take,
+            PICTURE.encoding: self._pictures.take,
+            **{view.payload.topic.encoding: view.take for view in self.views},
         }
         for _, age_s, messages in () if self._journal is None else self._journal.recent(HISTORY_S):
             counts: dict[str, int] = {}

@@ -11,10 +11,8 @@ from contract.feature_set import FeatureSet
 from contract.track import TrackRequest
 from ground.recorded_link_pictures import RecordedLinkPictures
 from ground.recording import Recording
-from ground.spots.received import ReceivedSpots
-from ground.track_paths import TrackPaths
 from ground.web.recorded_pictures import RecordedPictures
-from ground.web.source import FrameRow, Picture, VehicleReport
+from ground.web.source import FrameRow, Picture, VehicleReport, Views
 
 KEPT_SETS = 256
 
@@ -33,11 +31,9 @@ class RecordedSource:
         self._unreadable: list[str] = []
         self._sessions = {vehicle: self._session_of(vehicle) for vehicle in self._recording.vehicles}
         self._with_picture: dict[str, frozenset[int]] = {}
-        self.tracks = TrackPaths()
-        for vehicle in self._recording.vehicles:
-            self.tracks.add(self._recording.tracks(vehicle))
-        self.spots = ReceivedSpots()
-        self.spots.add(self._recording.spots(self._recording.vehicles))
+        self.views = Views()
+        for view in self.views:
+            view.read(self._recording, self._recording.vehicles)
         self._kept = lru_cache(maxsize=KEPT_SETS)(self._read)
 
     def vehicles(self) -> list[str]:

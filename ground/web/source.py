@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Protocol
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any, Protocol, TypeVar
 
 from contract.feature_set import FeatureSet, Status
 from contract.track import TrackRequest
 from contract.vehicle_status import VehicleStatus
+from ground.report_view import ReportView
 from ground.spots.received import ReceivedSpots
 from ground.track_paths import TrackPaths
+
+T = TypeVar("T")
 
 # Of the pictures that came since a list was read: some before them are read again, for sets may come out of order or in
 # a better revision; where more have come, as when a journal was read, the whole list is.
@@ -52,13 +56,33 @@ class VehicleReport:
     trouble: str = ""  # what is wrong at this end
 
 
+class PageView(Protocol[T]):
+    """A view whose news go to browsers."""
+
+    @property
+    def version(self) -> int: ...
+
+    def since(self, version: int) -> tuple[int, list[T] | None]:
+        """The version now, and what is new or has changed since another; None in its place where that is too much."""
+
+
+@dataclass(frozen=True)
+class Views:
+    """The page's views of reports, each by its topic's name."""
+
+    tracks: TrackPaths = field(default_factory=TrackPaths)
+    spots: ReceivedSpots = field(default_factory=ReceivedSpots)
+
+    def __iter__(self) -> Iterator[ReportView[Any]]:
+        return iter(vars(self).values())
+
+
 class Source(Protocol):
     """Thread-safe. Vehicles are named as on the link."""
 
     is_live: bool
     name: str  # for people: endpoints, or the recording's path
-    tracks: TrackPaths  # of all vehicles
-    spots: ReceivedSpots
+    views: Views  # of all vehicles' reports
 
     def vehicles(self) -> list[str]:
         """The names of the vehicles that are there, sorted."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
 
 from contract.errors import PointclickError
 from ground.watched_thread import WatchedThread
@@ -10,11 +12,24 @@ from ground.web.api_spots import spots_json
 from ground.web.api_tracks import track_json
 from ground.web.api_vehicles import row_json, vehicle_json
 from ground.web.context import ServerContext
-from ground.web.source import MOST_ROWS, SPARE_ROWS
+from ground.web.source import MOST_ROWS, SPARE_ROWS, PageView
 
 PICTURES_S = 0.04  # between checks of the source: a new picture is reported within this time
-TRACKS_S, SPOTS_S = 0.1, 0.5
 STATUS_S = 1.0
+
+
+class News(NamedTuple):
+    """How a view's news go to browsers, as an event of the topic's name: looked for every `period_s`."""
+
+    period_s: float
+    to_json: Callable[[ServerContext, list[Any]], list[dict[str, Any]]]
+
+
+# By the names in `Views`.
+NEWS: dict[str, News] = {
+    "tracks": News(0.1, lambda _, reports: [track_json(report) for report in reports]),
+    "spots": News(0.5, spots_json),
+}
 
 
 class Watch:
@@ -23,11 +38,14 @@ class Watch:
     def __init__(self, context: ServerContext) -> None:
         self._context = context
         self._versions: dict[str, int] = {}  # of each vehicle's pictures, as browsers have them
-        self._tracks, self._spots = context.source.tracks.version, context.source.spots.version
+        views = vars(context.source.views)
+        self._known = {name: view.version for name, view in views.items()}
         self._threads = (
             WatchedThread("watch of the pictures", self._send_pictures, PICTURES_S),
-            WatchedThread("watch of the tracks", self._send_tracks, TRACKS_S),
-            WatchedThread("watch of the hot spots", self._send_spots, SPOTS_S),
+            *(
+                WatchedThread(f"watch of the {name}", partial(self._send_news, name, view), NEWS[name].period_s)
+                for name, view in views.items()
+            ),
             WatchedThread("watch of state and pins", self._send_status, STATUS_S),
         )
 
@@ -59,19 +77,13 @@ class Watch:
             context.hub.send_from_thread({"type": "frames", "vehicle": vehicle, "frames": rows})
         self._versions[vehicle] = version
 
-    def _send_tracks(self) -> None:
-        hub = self._context.hub
-        self._tracks, reports = self._context.source.tracks.since(self._tracks)
-        if reports is None:
-            hub.send_from_thread({"type": "resync"})  # a journal was read
-        elif reports and len(hub):
-            hub.send_from_thread({"type": "tracks", "reports": [track_json(report) for report in reports]})
-
-    def _send_spots(self) -> None:
+    def _send_news(self, name: str, view: PageView[Any]) -> None:
         context = self._context
-        self._spots, things = context.source.spots.since(self._spots)
-        if things and len(context.hub):
-            context.hub.send_from_thread({"type": "spots", "spots": spots_json(context, things)})
+        self._known[name], news = view.since(self._known[name])
+        if news is None:
+            context.hub.send_from_thread({"type": "resync"})  # a journal was read
+        elif news and len(context.hub):
+            context.hub.send_from_thread({"type": name, name: NEWS[name].to_json(context, news)})
 
     def _send_status(self) -> None:
         context = self._context

@@ -39,7 +39,7 @@ class WithVideo:
         self._footage = footage
         self.is_live = inner.is_live
         self.name = inner.name
-        self.tracks, self.spots = inner.tracks, inner.spots
+        self.views = inner.views
 
     def vehicles(self) -> list[str]:
         return self._inner.vehicles()

@@ -19,6 +19,7 @@ from contract.camera import Camera
 from contract.errors import ConfigError, InputError
 from contract.feature_set import FeatureSet
 from contract.spot import SpotReport
+from contract.topics import SPOTS, STATUS, TRACKS
 from contract.track import MOST_TRACKS, TrackReport
 from contract.vehicle_status import VehicleStatus, encode_status
 from contract.wire.spot_code import encode_spots
@@ -292,7 +293,7 @@ class WholeRecording:
         try:
             status = self.at_its_end() if kind is None else None
             if status is not None:
-                self._recorder.write_status(round(status.unix_s * 1e9), encode_status(status))
+                self._recorder.write_report(STATUS, round(status.unix_s * 1e9), encode_status(status))
             self._recorder.close()
             if kind is None:
                 self._part.replace(self._path)
@@ -306,10 +307,11 @@ class WholeRecording:
         self._recorder.write_event(event, arrival_ns)
 
     def tracks(self, reports: list[TrackReport]) -> None:
-        self._recorder.write_tracks(reports[0].capture_unix_ns, b"".join(encode_track(report) for report in reports))
+        payload = b"".join(encode_track(report) for report in reports)
+        self._recorder.write_report(TRACKS, reports[0].capture_unix_ns, payload)
 
     def spots(self, report: SpotReport) -> None:
-        self._recorder.write_spots(report.capture_unix_ns, encode_spots(report))
+        self._recorder.write_report(SPOTS, report.capture_unix_ns, encode_spots(report))
 
     def second_picture(self, frame: Frame) -> None:
         """Record a picture of the second camera."""

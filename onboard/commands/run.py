@@ -17,6 +17,7 @@ import cv2
 
 from contract.camera import Camera
 from contract.errors import ConfigError, InputError, PointclickError
+from contract.topics import SPOTS, STATUS, TRACKS
 from contract.vehicle_status import encode_status
 from onboard.camera.factory import open_camera, open_second_camera
 from onboard.camera.picture_mask import read_mask
@@ -123,9 +124,9 @@ def open_parts(config: Config, clock: SessionClock | None = None, open_camera: O
             recording = Recorded(where, config, camera, clock, recorded_toml(config), known, optics)
             sinks.append(recording)
             if tracks is not None:
-                tracks.outlets.append(recording.tracks)
+                tracks.outlets.append(partial(recording.report, TRACKS))
             if spots is not None:
-                spots.outlets.append(recording.spots)
+                spots.outlets.append(partial(recording.report, SPOTS))
                 spots.keepers.append(recording.second_picture)
             threads.append(recording.thread)
             reporters.append(partial(_record, recording))
@@ -172,7 +173,7 @@ def _begun(
 def _tracks(config: Config, link: Publisher) -> TrackThread | None:
     if not config.tracks.enabled:
         return None
-    tracks = TrackThread(config, [lambda _, payload: link.publish_tracks(payload)])
+    tracks = TrackThread(config, [lambda _, payload: link.report(TRACKS, payload)])
     link.follow = tracks.answer
     return tracks
 
@@ -192,7 +193,7 @@ def _spots(
     """Return the thread that looks for hot spots, and that of the second camera in whose pictures it looks, if any."""
     if not (config.spots.enabled and (optics is not None or config.thermal.enabled)):
         return None, None
-    spots = SpotThread(config, [lambda _, payload: link.publish_spots(payload)], optics)
+    spots = SpotThread(config, [lambda _, payload: link.report(SPOTS, payload)], optics)
     if optics is None:
         return spots, None
     return spots, SecondCameraThread(open_second_camera(config, optics, clock), spots.second_picture)
@@ -203,4 +204,4 @@ def _send(link: Publisher, report: Report) -> None:
 
 
 def _record(recording: Recorded, report: Report) -> None:
-    recording.status(round(report.status.unix_s * 1e9), encode_status(report.status))
+    recording.report(STATUS, round(report.status.unix_s * 1e9), encode_status(report.status))

@@ -16,11 +16,9 @@ status and replies go out at the same moments with pictures as without.
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable
 from enum import Enum
-from typing import TypeVar
 
-T = TypeVar("T", bound=Hashable)
+from contract.topics import REPORTS, Topic
 
 MESSAGE_OVERHEAD = 90  # bytes
 REPLY_OVERHEAD = 200
@@ -29,10 +27,8 @@ CONNECT_BYTES = 600
 SECURE_CONNECT_BYTES = 1850
 PACKET_BYTES = 1500
 BURST_S = 0.5
-# Status and replies may take these shares at most: without tracks at least 0.35 stays for sets.
-STATUS_SHARE, REPLY_SHARE = 0.25, 0.4
-TRACK_SHARE = 0.2  # of reports of tracks: of one twice a second from 12 kbit/s on, of eight from 45
-SPOT_SHARE = 0.1  # of hot spots: of two full packets a second from 47 kbit/s on
+# Replies may take this share at most, each report its topic's: with status alone at least 0.35 stays for sets.
+REPLY_SHARE = 0.4
 # Older pictures' sets may take this share from new ones, else what those leave; and so many for each new one at most.
 OLDER_SHARE, OLDER_A_NEW = 0.1, 0.5
 PIECE_SHARE = 0.95  # of the time that a set leaves until the next one, that a packet of a picture may take
@@ -48,20 +44,27 @@ def left_for_pictures(max_bit_rate: float, max_rate_hz: float) -> float:
 
 
 class Kind(Enum):
-    """The kind of a message, which decides how much of the budget it may take."""
+    """The kind of a message that is no report, which decides how much of the budget it may take."""
 
     SET = "set"  # of a new picture
     OLDER = "older"  # of a picture that is not the newest any more
-    STATUS = "status"
     REPLY = "reply"
     REPORT = "report"  # a reply as well, but a large one that no flight depends on: the daemon's own detailed report
-    TRACK = "track"  # where followed things are
-    SPOTS = "spots"  # what is hotter than its ground in a picture
     PICTURE = "picture"
 
 
+Use = Kind | Topic
+"""What a message takes its bytes as: one of the kinds, or the report of a topic."""
+USES: tuple[Use, ...] = (*Kind, *REPORTS)
+
 # Each kind waits this long for bytes before new sets are held back for it. An older set has waited for its small share.
-PATIENCE_S = {Kind.STATUS: 0.8, Kind.TRACK: 0.5, Kind.SPOTS: 0.5, Kind.REPLY: 0.8, Kind.REPORT: 0.8, Kind.OLDER: 0.0}
+PATIENCE_S: dict[Use, float] = {
+    Kind.REPLY: 0.8, Kind.REPORT: 0.8, Kind.OLDER: 0.0, **{topic: topic.patience_s for topic in REPORTS}
+}  # fmt: skip
+SHARES: dict[Use, float] = {
+    Kind.REPLY: REPLY_SHARE, Kind.REPORT: REPLY_SHARE, Kind.OLDER: OLDER_SHARE,
+    **{topic: topic.share for topic in REPORTS},
+}  # fmt: skip
 
 
 class Bucket:
@@ -132,14 +135,7 @@ class Budget:
         self._all = Bucket(self.bytes_per_s, max(PACKET_BYTES, BURST_S * self.bytes_per_s), now_s)
         self._shares = {
             kind: Bucket(share * self.bytes_per_s, max(PACKET_BYTES, BURST_S * share * self.bytes_per_s), now_s)
-            for kind, share in (
-                (Kind.STATUS, STATUS_SHARE),
-                (Kind.REPLY, REPLY_SHARE),
-                (Kind.REPORT, REPLY_SHARE),
-                (Kind.TRACK, TRACK_SHARE),
-                (Kind.SPOTS, SPOT_SHARE),
-                (Kind.OLDER, OLDER_SHARE),
-            )
+            for kind, share in SHARES.items()
         }
         self._left = self._spilt = 0.0  # for pictures, at most a packet; and what had been left when they looked last
         self._free_at_s = now_s  # when a link of just this rate has carried all that was sent
@@ -147,16 +143,16 @@ class Budget:
         self._set_due_s = now_s  # before it no new set goes; one that came late may be made up for once
         self._set_cost = self.cost(Kind.SET, USUAL_SET)  # of the last one
         self._older_due_s = now_s
-        self._waiting: dict[Kind, tuple[float, int]] = {}  # since when, and how many bytes
+        self._waiting: dict[Use, tuple[float, int]] = {}  # since when, and how many bytes
         self._background_at_s = now_s
 
-    def cost(self, kind: Kind, payload_bytes: int) -> float:
+    def cost(self, kind: Use, payload_bytes: int) -> float:
         """Bytes on the wire, to every ground; a reply goes to one."""
         if kind in (Kind.REPLY, Kind.REPORT):
             return payload_bytes + REPLY_OVERHEAD
         return (payload_bytes + MESSAGE_OVERHEAD) * max(self.grounds, 1)
 
-    def waits(self, kind: Kind, payload_bytes: int | None, now_s: float) -> None:
+    def waits(self, kind: Use, payload_bytes: int | None, now_s: float) -> None:
         """Pass what waits to be sent, None for nothing: what has waited long goes before what has not."""
         if payload_bytes is None:
             self._waiting.pop(kind, None)
@@ -173,7 +169,7 @@ class Budget:
             since_s = max(since_s, self._set_at_s)
         return now_s - since_s >= 1.0 / self.min_rate_hz
 
-    def wait_s(self, kind: Kind, payload_bytes: int, now_s: float) -> float:
+    def wait_s(self, kind: Use, payload_bytes: int, now_s: float) -> float:
         """Seconds until a message may go, if nothing else goes before; 0 if it may now; inf while others go first."""
         cost = self.cost(kind, payload_bytes)
         if kind is Kind.PICTURE:
@@ -229,7 +225,7 @@ class Budget:
             for since_s, payload_bytes in [self._waiting.get(kind, (math.inf, 0))]
         )
 
-    def send(self, kind: Kind, payload_bytes: int, now_s: float) -> bool:
+    def send(self, kind: Use, payload_bytes: int, now_s: float) -> bool:
         """Return whether a message may go now; if so, it is paid for."""
         if self.wait_s(kind, payload_bytes, now_s) > 0.0:
             return False

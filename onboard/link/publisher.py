@@ -36,10 +36,9 @@ from contract.topics import (
     PICTURE,
     PIXEL_PARAMETERS,
     QUERY,
-    SPOTS,
     STATUS,
     TIME_PARAMETER,
-    TRACKS,
+    TOPICS,
     WAIT_PARAMETER,
     Topic,
 )
@@ -47,7 +46,7 @@ from contract.track import refused
 from contract.wire.picture_code import cut
 from onboard.config.schema import Config
 from onboard.events.types import Event, Frame
-from onboard.link.byte_budget import CONNECT_BYTES, PACKET_BYTES, SECURE_CONNECT_BYTES, Budget, Kind
+from onboard.link.byte_budget import CONNECT_BYTES, PACKET_BYTES, SECURE_CONNECT_BYTES, USES, Budget, Kind, Use
 from onboard.link.packet import MAX_PAYLOAD, one_packet
 from onboard.link.pending_pictures import PendingPictures
 from onboard.link.reply import Answer, Question, SetClock, answer, not_placed, patience_s, refusal
@@ -152,8 +151,7 @@ class Publisher:
         self._piece_s = -math.inf  # when it came, or one of them went
         self._needs_parity = not all(e.startswith(STREAMS) for e in (*listen, *connect))
         self._status, self._status_detail = b"", b""
-        self._status_waits = False
-        self._reports: dict[Kind, bytes] = {}  # the newest of tracks and of spots, until they have gone
+        self._reports: dict[Topic, bytes] = {}  # the newest of each topic, until it has gone
         # Answers queries that begin, end and list tracks: a payload, and whether it is a refusal.
         self.follow: Callable[[str], tuple[bytes, bool]] = not_followed
         # Measures a pixel of a packet's set and hands the set over with it, or None; False if that cannot be done now.
@@ -180,13 +178,7 @@ class Publisher:
         except zenoh.ZError as error:
             raise LinkError(_open_failure(listen, connect, error)) from error
         try:
-            self._publisher = _declared(self._session, FEATURES, vehicle)
-            self._status_publisher = _declared(self._session, STATUS, vehicle)
-            self._picture_publisher = _declared(self._session, PICTURE, vehicle)
-            self._report_publishers = {
-                Kind.TRACK: _declared(self._session, TRACKS, vehicle),
-                Kind.SPOTS: _declared(self._session, SPOTS, vehicle),
-            }
+            self._publishers = {topic: _declared(self._session, topic, vehicle) for topic in TOPICS}
             # The variables keep queryables and token declared.
             self._queryable = self._session.declare_queryable(self._key, self._asked)
             self._status_queryable = self._session.declare_queryable(self._status_key, self._asked_for_status)
@@ -239,20 +231,12 @@ class Publisher:
         """Send an encoded status in its turn; it answers queries until the next, `detail` those that ask for more."""
         with self._changed:
             self._status, self._status_detail = payload, detail
-            self._status_waits = True
-            self._wake()
+        self.report(STATUS, payload)
 
-    def publish_tracks(self, payload: bytes) -> None:
-        """Send the reports of all tracks in their turn; earlier ones that still wait are not sent."""
-        self._report(Kind.TRACK, payload)
-
-    def publish_spots(self, payload: bytes) -> None:
-        """Send the spots of a picture in their turn; an earlier picture's that still wait are not sent."""
-        self._report(Kind.SPOTS, payload)
-
-    def _report(self, kind: Kind, payload: bytes) -> None:
+    def report(self, topic: Topic, payload: bytes) -> None:
+        """Send a message of one of the REPORTS in its turn; an earlier one that still waits is not sent."""
         with self._changed:
-            self._reports[kind] = payload
+            self._reports[topic] = payload
             self._wake()
 
     def look_up(self, asked: Question) -> Answer | None:
@@ -273,7 +257,7 @@ class Publisher:
             room = self._budget.piece_bytes(MAX_PAYLOAD)
         try:
             # zenoh 1.10 gives an object here, which its stubs call a bool.
-            return room if getattr(self._picture_publisher.matching_status, "matching", False) else 0
+            return room if getattr(self._publishers[PICTURE].matching_status, "matching", False) else 0
         except zenoh.ZError:  # the session is being closed
             return 0
 
@@ -342,7 +326,7 @@ class Publisher:
             self._forget_old_queries(now_s)
             # A link with more than a packet under way has no room to spare, whatever rate is assumed.
             messages = self._messages(now_s, has_room=unacknowledged <= PACKET_BYTES)
-            for kind in Kind:
+            for kind in USES:
                 budget.waits(kind, messages[kind].size if kind in messages else None, now_s)
             message = next((m for kind, m in messages.items() if budget.send(kind, m.size, now_s)), None)
             if message is None:
@@ -357,19 +341,20 @@ class Publisher:
             self._warn(_first_clause(error))
         return 0.0
 
-    def _messages(self, now_s: float, *, has_room: bool) -> dict[Kind, _Message]:
+    def _messages(self, now_s: float, *, has_room: bool) -> dict[Use, _Message]:
         """Return the messages that could go now, by priority: a click before a report several times as large."""
-        found: dict[Kind, _Message] = {}
-        if self._status_waits:
-            status = self._status
-            found[Kind.STATUS] = _Message(len(status), self._status_gone, partial(self._status_publisher.put, status))
+        reports: dict[Use, _Message] = {
+            topic: _Message(
+                len(report), partial(self._reports.pop, topic), partial(self._publishers[topic].put, report)
+            )
+            for topic, report in self._reports.items()
+        }
+        found: dict[Use, _Message] = {STATUS: reports[STATUS]} if STATUS in reports else {}
         for kind in REPLIES:
             asked = next((query for query in self._queries if query.kind is kind), None)
             if asked is not None:
                 found[kind] = _Message(len(asked.answer), partial(self._queries.remove, asked), partial(_reply, asked))
-        for kind, report in self._reports.items():
-            reported = partial(self._reports.pop, kind)
-            found[kind] = _Message(len(report), reported, partial(self._report_publishers[kind].put, report))
+        found |= reports  # a status keeps its place
         older = self._selection.next_of_rest(now_s) if has_room else None
         for kind, offer in ((Kind.SET, self._selection.next(now_s)), (Kind.OLDER, older)):
             if offer is not None:
@@ -378,11 +363,8 @@ class Publisher:
         if self._pieces and has_room:
             piece = self._pieces[0]
             gone = partial(self._piece_gone, now_s)
-            found[Kind.PICTURE] = _Message(len(piece), gone, partial(self._picture_publisher.put, piece))
+            found[Kind.PICTURE] = _Message(len(piece), gone, partial(self._publishers[PICTURE].put, piece))
         return found
-
-    def _status_gone(self) -> None:
-        self._status_waits = False
 
     def _piece_gone(self, now_s: float) -> None:
         self._pieces.popleft()
@@ -391,7 +373,7 @@ class Publisher:
 
     def _put_set(self, offer: Offer[bytes]) -> None:
         age = self._set_clock.age_text(offer.capture_unix_ns, time.monotonic_ns())
-        self._publisher.put(offer.item, attachment=age)
+        self._publishers[FEATURES].put(offer.item, attachment=age)
         self.sent += 1
 
     def _unacknowledged(self, info: zenoh.SessionInfo) -> int:

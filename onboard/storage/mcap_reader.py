@@ -172,7 +172,7 @@ class RecordedFlight:
         """The payloads of the sets, in the order in which they were made."""
         for path in self.paths:
             for channel, message in _messages(path):
-                if channel.message_encoding == names.SET_ENCODING and channel.topic == FEATURES.key(self.vehicle):
+                if channel.message_encoding == FEATURES.encoding and channel.topic == FEATURES.key(self.vehicle):
                     yield message.data
 
 
@@ -271,7 +271,7 @@ def _count(
     flight.counts[_name(channel.topic, flight.vehicle)] += 1
     if kind == names.PICTURES:
         picture_ns = message.publish_time
-    if channel.message_encoding == names.SET_ENCODING and flight.session is None:
+    if channel.message_encoding == FEATURES.encoding and flight.session is None:
         with contextlib.suppress(WireError):
             flight.session = peek(message.data).session
     if kind == names.GAPS:

@@ -23,9 +23,9 @@ from mcap.reader import make_reader
 from mcap.records import Channel, Chunk, McapRecord, Message, Metadata
 from mcap.stream_reader import breakup_chunk
 
-from contract import recording_format as names
 from contract.errors import WireError
 from contract.mcap_records import Damage, Data, Record, records
+from contract.topics import FEATURES
 from contract.wire.codec import decode
 
 MAX_RECORD_BYTES = 1 << 28  # a damaged length must not become memory asked for
@@ -179,7 +179,7 @@ class _Walk:
         try:
             if channel is not None and channel.message_encoding == "json":
                 json.loads(message.data)
-            elif channel is not None and channel.message_encoding == names.SET_ENCODING:
+            elif channel is not None and channel.message_encoding == FEATURES.encoding:
                 decode(message.data)
         except (ValueError, RecursionError, WireError):
             return False

@@ -22,7 +22,7 @@ from contract import recording_format as names
 from contract.errors import InputError
 from contract.feature_set import FeatureSet
 from contract.secrets import new_recording
-from contract.topics import FEATURES, SPOTS, STATUS, TRACKS
+from contract.topics import FEATURES, Topic
 from contract.wire.codec import encode
 from onboard.events.types import Event, Frame, PositionFix
 from onboard.storage import foxglove_schemas
@@ -34,7 +34,7 @@ VIEW_FEATURES_NS = 1_000_000_000
 JPEG_QUALITY = 85
 # A 640x480 picture of the ground takes 97 kB and 4.3 ms. Stronger compression takes twice the time for 2 %.
 _PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE]
-_STATUS_SCHEMA = _GAP_SCHEMA = '{"type":"object"}'
+_OBJECT_SCHEMA = '{"type":"object"}'
 
 
 def encode_picture(image: NDArray[np.uint8] | NDArray[np.uint16], pictures: str) -> tuple[bytes, str]:
@@ -150,7 +150,7 @@ class SessionRecorder:
         s = feature_set
         if payload is None:
             payload = encode(s)
-        channel = self._channel(FEATURES.template, names.SET_ENCODING)
+        channel = self._channel(FEATURES.template, FEATURES.encoding)
         self._write(channel, s.capture_unix_ns, s.capture_unix_ns, payload)
         if s.is_ok:
             at_ns = s.capture_unix_ns
@@ -169,22 +169,14 @@ class SessionRecorder:
                 VIEW_FEATURES_NS,
             )
 
-    def write_status(self, stamp_ns: int, payload: bytes) -> None:
-        """Record an encoded status."""
-        channel = self._channel(STATUS.template, "json", "pointclick.Status", _STATUS_SCHEMA)
+    def write_report(self, topic: Topic, stamp_ns: int, payload: bytes) -> None:
+        """Record a report of the link, as it was sent."""
+        channel = self._channel(topic.template, topic.encoding, topic.schema, _OBJECT_SCHEMA)
         self._write(channel, stamp_ns, stamp_ns, payload)
-
-    def write_tracks(self, stamp_ns: int, payload: bytes) -> None:
-        """Record reports of tracks, as they were sent."""
-        self._write(self._channel(TRACKS.template, names.TRACK_ENCODING), stamp_ns, stamp_ns, payload)
-
-    def write_spots(self, stamp_ns: int, payload: bytes) -> None:
-        """Record the spots of a picture, as they were sent."""
-        self._write(self._channel(SPOTS.template, names.SPOT_ENCODING), stamp_ns, stamp_ns, payload)
 
     def write_gap(self, begin_ns: int, end_ns: int, content: bytes) -> None:
         """Record that something is missing here, and mark the file as not complete."""
-        channel = self._channel(names.GAPS, "json", "pointclick.Gap", _GAP_SCHEMA)
+        channel = self._channel(names.GAPS, "json", "pointclick.Gap", _OBJECT_SCHEMA)
         self._write(channel, end_ns, begin_ns, content)
         if self._metadata["complete"] == "yes":
             self._metadata["complete"] = "no"

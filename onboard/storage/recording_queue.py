@@ -8,86 +8,77 @@ from __future__ import annotations
 
 import json
 import threading
-import typing
-from collections import deque
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
-from typing import Literal
+from collections import Counter, deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 
+from contract.topics import TOPICS, Counted, Topic
 from onboard.storage.mcap_writer import SessionRecorder
 
-Kind = Literal["events", "pictures", "sets", "statuses", "tracks", "spots"]
 Write = Callable[[SessionRecorder], None]
+EVENTS, PICTURES = Counted("event", "events"), Counted("picture", "pictures")
+COUNTED = (EVENTS, PICTURES, *(topic.recorded for topic in TOPICS if topic.recorded is not None))
+
+
+def counted(topic: Topic) -> Counted:
+    """The words for a topic's messages; it must be one that is recorded."""
+    assert topic.recorded is not None, topic.name
+    return topic.recorded
 
 
 @dataclass(frozen=True)
 class Gap:
-    """Records that are missing between their neighbours in a recording; times are the session's, Unix ns."""
+    """Records that are missing between their neighbours in a recording; times are the session's, Unix ns.
+
+    `counts`: how many of each of COUNTED; events are those without pictures, reports are counted by messages.
+    """
 
     begin_ns: int  # of the first and of the last that is missing
     end_ns: int
     reason: str
-    events: int = 0  # without pictures
-    pictures: int = 0
-    sets: int = 0
-    statuses: int = 0
-    tracks: int = 0  # messages of all tracks' reports
-    spots: int = 0  # messages of a picture's spots
+    counts: Mapping[str, int] = field(default_factory=dict)
 
     def and_then(self, later: Gap) -> Gap:
         """One gap of two with nothing between them; the first reason counts."""
-        return Gap(
-            min(self.begin_ns, later.begin_ns),
-            max(self.end_ns, later.end_ns),
-            self.reason,
-            self.events + later.events,
-            self.pictures + later.pictures,
-            self.sets + later.sets,
-            self.statuses + later.statuses,
-            self.tracks + later.tracks,
-            self.spots + later.spots,
-        )
+        counts = Counter(self.counts) + Counter(later.counts)
+        return Gap(min(self.begin_ns, later.begin_ns), max(self.end_ns, later.end_ns), self.reason, counts)
 
     def __str__(self) -> str:
-        one, more = ("event", "picture", "set", "status", "report of tracks", "report of spots"), typing.get_args(Kind)
-        named = [f"{n} {one[i] if n == 1 else more[i]}" for i, n in enumerate(self.counts) if n]
+        numbers = [(self.counts.get(words.many, 0), words) for words in COUNTED]
+        named = [f"{n} {words.one if n == 1 else words.many}" for n, words in numbers if n]
         return " and ".join([", ".join(named[:-1]), named[-1]] if len(named) > 1 else named)
 
     def to_json(self) -> bytes:
-        return json.dumps(asdict(self), separators=(",", ":")).encode()
+        counts = {words.many: self.counts.get(words.many, 0) for words in COUNTED}
+        content = {"begin_ns": self.begin_ns, "end_ns": self.end_ns, "reason": self.reason, **counts}
+        return json.dumps(content, separators=(",", ":")).encode()
 
     @classmethod
     def from_json(cls, data: bytes) -> Gap:
         """The gap as it was recorded; without times and counts if its record cannot be read."""
         try:
-            found = cls(**json.loads(data))
-        except (ValueError, TypeError, RecursionError):
+            content = json.loads(data)
+            times, reason = (content.pop("begin_ns"), content.pop("end_ns")), content.pop("reason")
+        except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
             return cls(0, 0, "its gap record cannot be read")
-        return (
-            found
-            if all(isinstance(n, int) for n in (found.begin_ns, found.end_ns, *found.counts))
-            else cls(0, 0, "unreadable")
-        )
-
-    @property
-    def counts(self) -> tuple[int, ...]:
-        """Events, pictures, sets, statuses, reports of tracks and of spots."""
-        return self.events, self.pictures, self.sets, self.statuses, self.tracks, self.spots
+        is_known = content.keys() <= {words.many for words in COUNTED}
+        if not is_known or not all(isinstance(n, int) for n in (*times, *content.values())):
+            return cls(0, 0, "its gap record cannot be read")
+        return cls(*times, reason, content)
 
 
 @dataclass(frozen=True, eq=False)
 class Entry:
     """One thing to write."""
 
-    kind: Kind
+    kind: str  # how it is counted, one of COUNTED
     stamp_ns: int
     size: int  # bytes that it keeps in memory, where these are many
     write: Write
 
     def missing(self, reason: str) -> Gap:
         """The gap that it leaves."""
-        counts = {kind: int(kind == self.kind) for kind in typing.get_args(Kind)}
-        return Gap(self.stamp_ns, self.stamp_ns, reason, **counts)
+        return Gap(self.stamp_ns, self.stamp_ns, reason, {self.kind: 1})
 
 
 class RecordingQueue:

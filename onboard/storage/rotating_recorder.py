@@ -26,12 +26,13 @@ from contract.camera import Camera
 from contract.errors import InputError
 from contract.feature_set import FeatureSet
 from contract.supervised_thread import Policy, SupervisedThread, ThreadState
+from contract.topics import FEATURES, Topic
 from contract.wire.codec import encode
 from onboard.config.schema import Config
 from onboard.events.session_clock import SessionClock
 from onboard.events.types import Event, Frame
 from onboard.storage.mcap_writer import SessionRecorder
-from onboard.storage.recording_queue import Entry, Gap, RecordingQueue
+from onboard.storage.recording_queue import EVENTS, PICTURES, Entry, Gap, RecordingQueue, counted
 
 SYNC_S = 0.5  # between writes to the disk itself: what a loss of power may cost, with what the disk takes
 RETRY_S, MAX_RETRY_S = 5.0, 60.0
@@ -70,8 +71,8 @@ class NoRoom(InputError):
 class Recorded:
     """Writes `FOLDER/YYYYmmddTHHMMSSZ-VEHICLE.001.mcap`, then `.002.mcap` and so on, as `recording` specifies.
 
-    For the daemon: one of the sinks, entered before the first event; `status` takes each encoded status, from any
-    thread. `state_json` is the state file's text as the session began with it: without it a replay would begin with
+    For the daemon: one of the sinks, entered before the first event; `report` takes each message of a report, from
+    any thread. `state_json` is the state file's text as the session began with it: without it a replay would begin with
     less knowledge, and end with other bytes. `fault` is why nothing is recorded just now.
     """
 
@@ -140,29 +141,21 @@ class Recorded:
     def event(self, arrival_ns: int, event: Event) -> None:
         """Record an event as it enters the pipeline; never waits."""
         if isinstance(event, Frame) and event.image is not None:
-            self._put(Entry("pictures", arrival_ns, _held_bytes(event), lambda f: f.write_event(event, arrival_ns)))
+            self._put(Entry(PICTURES.many, arrival_ns, _held_bytes(event), lambda f: f.write_event(event, arrival_ns)))
         else:
-            self._put(Entry("events", arrival_ns, 0, lambda file: file.write_event(event, arrival_ns)))
+            self._put(Entry(EVENTS.many, arrival_ns, 0, lambda file: file.write_event(event, arrival_ns)))
 
     def second_picture(self, frame: Frame) -> None:
         """Record a picture of the second camera; never waits."""
-        self._put(Entry("pictures", frame.stamp_ns, _held_bytes(frame), lambda f: f.write_second_picture(frame)))
+        self._put(Entry(PICTURES.many, frame.stamp_ns, _held_bytes(frame), lambda f: f.write_second_picture(frame)))
 
     def feature_set(self, output: FeatureSet) -> None:
         """Record a set; never waits."""
-        self._put(Entry("sets", output.capture_unix_ns, 0, lambda file: _write_set(file, output)))
+        self._put(Entry(counted(FEATURES).many, output.capture_unix_ns, 0, lambda file: _write_set(file, output)))
 
-    def status(self, stamp_ns: int, payload: bytes) -> None:
-        """Record an encoded status; never waits."""
-        self._put(Entry("statuses", stamp_ns, 0, lambda file: file.write_status(stamp_ns, payload)))
-
-    def tracks(self, stamp_ns: int, payload: bytes) -> None:
-        """Record reports of tracks; never waits."""
-        self._put(Entry("tracks", stamp_ns, 0, lambda file: file.write_tracks(stamp_ns, payload)))
-
-    def spots(self, stamp_ns: int, payload: bytes) -> None:
-        """Record the spots of a picture; never waits."""
-        self._put(Entry("spots", stamp_ns, 0, lambda file: file.write_spots(stamp_ns, payload)))
+    def report(self, topic: Topic, stamp_ns: int, payload: bytes) -> None:
+        """Record a report of the link; never waits."""
+        self._put(Entry(counted(topic).many, stamp_ns, 0, lambda file: file.write_report(topic, stamp_ns, payload)))
 
     def _now_s(self) -> float:
         return self._clock.now_ns() / 1e9

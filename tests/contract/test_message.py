@@ -8,7 +8,7 @@ from contract.errors import ForeignMessage, WireError
 from contract.topics import FEATURES, PICTURE, SPOTS, STATUS, TRACKS
 from contract.vehicle_status import VehicleStatus, encode_status
 from contract.wire.codec import encode
-from contract.wire.message import peek_set, read_picture_piece, read_set, read_spots, read_status, read_tracks
+from contract.wire.message import SPOT_REPORTS, TRACK_REPORTS, peek_set, read_picture_piece, read_set, read_status
 from contract.wire.picture_code import cut
 from tests.contract.pictures import small_picture
 from tests.contract.sets import plain_set
@@ -34,7 +34,7 @@ def test_a_set_or_a_picture_on_another_vehicle_s_key_is_refused_by_name(read, to
 def test_what_names_no_vehicle_is_its_key_s() -> None:
     status = encode_status(VehicleStatus(1.0, 7, "ok"))
     assert read_status(STATUS.key("uav-2"), status)[0] == "uav-2"
-    for read, topic in ((read_status, STATUS), (read_tracks, TRACKS), (read_spots, SPOTS)):
+    for read, topic in ((read_status, STATUS), (TRACK_REPORTS.read, TRACKS), (SPOT_REPORTS.read, SPOTS)):
         with pytest.raises(ValueError, match="is not a key of"):
             read(FEATURES.key("uav-2"), status)  # type: ignore[operator]
         with pytest.raises(WireError):

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
-from contract import recording_format as names
 from contract.errors import InputError
 from contract.feature_set import FeatureSet, Status
+from contract.topics import FEATURES
 from contract.wire.codec import encode
 from ground.__main__ import main
 from ground.recording import Recording
@@ -92,7 +92,7 @@ def test_any_mcap_reader_reads_events_sets_and_metadata(session: Path) -> None:
     topics = {channel.topic: channel for _, channel, _ in messages}
     ours = ("features", "frames", "position", "gps_quality", "attitude")
     assert set(topics) == {f"pc/uav-1/{name}" for name in (*ours, "view/vehicle", "view/camera", "view/features")}
-    assert topics["pc/uav-1/features"].message_encoding == names.SET_ENCODING
+    assert topics["pc/uav-1/features"].message_encoding == FEATURES.encoding
     assert {channel.message_encoding for topic, channel in topics.items() if "features" not in topic} == {"json"}
     assert all(
         schema is not None and schema.encoding == "jsonschema"
@@ -239,7 +239,7 @@ def test_a_chunked_recording_that_cannot_be_read_to_its_end_says_so(tmp_path: Pa
     with path.open("wb") as stream:
         writer = Writer(stream, compression=CompressionType.NONE, chunk_size=1000)
         writer.start()
-        channel = writer.register_channel("pc/uav-1/features", names.SET_ENCODING, 0)
+        channel = writer.register_channel("pc/uav-1/features", FEATURES.encoding, 0)
         for frame in range(20):
             writer.add_message(channel, START_NS + frame, encode(a_set(frame)), START_NS + frame)
         writer.finish()
@@ -269,7 +269,7 @@ def write_chunked(path: Path) -> None:
     with path.open("wb") as stream:
         writer = Writer(stream, compression=CompressionType.NONE)
         writer.start()
-        channel = writer.register_channel("pc/uav-1/features", names.SET_ENCODING, 0)
+        channel = writer.register_channel("pc/uav-1/features", FEATURES.encoding, 0)
         for frame in range(3):
             stamp_ns = START_NS + frame * 10**9
             writer.add_message(channel, stamp_ns, encode(a_set(frame)), stamp_ns)

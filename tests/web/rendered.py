@@ -15,9 +15,7 @@ from contract.errors import LinkError
 from contract.feature_set import FeatureSet, Status
 from contract.track import MOST_TRACKS, StartTrack, StopTrack, TrackRequest
 from contract.vehicle_status import VehicleStatus
-from ground.spots.received import ReceivedSpots
-from ground.track_paths import TrackPaths
-from ground.web.source import FrameRow, Picture, VehicleReport
+from ground.web.source import FrameRow, Picture, VehicleReport, Views
 from onboard.events.types import Frame
 from onboard.storage.mcap_writer import SessionRecorder
 from tests.contract.sets import plain_set
@@ -71,7 +69,7 @@ class FlyingSource:
         self._names = [f"uav-{k}" for k in range(1, aircraft + 1)]
         self.silent_s = 0.1
         self._count = 1
-        self.tracks, self.spots = TrackPaths(), ReceivedSpots()
+        self.views = Views()
         self.asked: list[TrackRequest] = []
         self._followed = 0
         self.why_unfollowed = ""

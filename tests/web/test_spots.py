@@ -63,7 +63,7 @@ def states(client: TestClient) -> dict[int, str]:
 def test_a_find_becomes_a_pin_with_its_source_or_is_dismissed_and_both_are_undone(tmp_path: Path) -> None:
     with api(tmp_path) as (client, source):
         source.fly_to(9)
-        source.spots.add([report(0), report(1)])
+        source.views.spots.add([report(0), report(1)])
         assert states(client) == {1: "open", 2: "open"}
         made = client.post("/api/spots/1/confirm", json={"category": "person", "who": "anna"})
         assert made.status_code == 201
@@ -78,7 +78,7 @@ def test_a_find_becomes_a_pin_with_its_source_or_is_dismissed_and_both_are_undon
         for number in (1, 2):
             for what in ("confirm", "dismiss"):
                 assert client.post(f"/api/spots/{number}/{what}", json={}).status_code == 409
-        source.spots.add([report(2), report(3)])  # seen again: it stays what was decided
+        source.views.spots.add([report(2), report(3)])  # seen again: it stays what was decided
         assert states(client) == {1: "confirmed", 2: "dismissed"}
         assert client.post("/api/undo", json={"who": "ben"}).json()["undone"] is not None
         assert states(client)[2] == "confirmed"  # the dismissal is taken back: it is a pin
@@ -90,10 +90,10 @@ def test_a_find_becomes_a_pin_with_its_source_or_is_dismissed_and_both_are_undon
 def test_what_one_server_dismissed_another_that_has_its_pins_does_not_show(tmp_path: Path) -> None:
     """Pins are shared with their tombstones; the other server numbers its finds in its own way."""
     with api(tmp_path) as (client, source):
-        source.spots.add([report(0), report(1), report(2)])
+        source.views.spots.add([report(0), report(1), report(2)])
         client.post("/api/spots/2/dismiss", json={"who": "ben"})
     with api(tmp_path) as (client, source):
-        source.spots.add([replace(r, spots=r.spots[::-1]) for r in (report(1), report(2), report(3))])
+        source.views.spots.add([replace(r, spots=r.spots[::-1]) for r in (report(1), report(2), report(3))])
         found = client.get("/api/spots").json()["spots"]
         assert {round(spot["temperature_c"]): spot["state"] for spot in found} == {52: "dismissed", 36: "open"}
 
@@ -101,7 +101,7 @@ def test_what_one_server_dismissed_another_that_has_its_pins_does_not_show(tmp_p
 def test_finds_come_as_events(tmp_path: Path) -> None:
     headers = {"host": "127.0.0.1:8080"}
     with api(tmp_path) as (client, source), client.websocket_connect("/api/events", headers=headers) as socket:
-        source.spots.add([report(0), report(1)])
+        source.views.spots.add([report(0), report(1)])
         received: list[dict[str, Any]] = []
         while not received:
             event = socket.receive_json()
@@ -139,14 +139,14 @@ def test_a_find_alarms_is_confirmed_or_dismissed_and_the_sound_can_be_muted(
     page = anna.page
     page.evaluate(_LISTEN)
     assert anna.by("found-list").is_hidden()
-    flight.source.spots.add([report(0, 1)])
+    flight.source.views.spots.add([report(0, 1)])
     flight.source.fly_to(2)
     anna.wait_for_frame(1)
     assert anna.by("found").count() == 0  # one picture alone may be noise
-    flight.source.spots.add([report(1, 1)])
+    flight.source.views.spots.add([report(1, 1)])
     page.wait_for_selector("[data-testid=found][data-news=yes]")
     assert page.evaluate("window.tones") == 3 and anna.by("found-list").get_attribute("data-alarm") == "yes"
-    flight.source.spots.add([report(2), report(3)])
+    flight.source.views.spots.add([report(2), report(3)])
     page.wait_for_function("() => document.querySelectorAll('[data-testid=found]').length === 2")
     assert anna.by("found-count").inner_text() == "Hot spots 2, the hottest 52.0 °C"
     rows = {row.get_attribute("data-spot"): row.bounding_box()["y"] for row in anna.by("found").all()}
@@ -159,7 +159,7 @@ def test_a_find_alarms_is_confirmed_or_dismissed_and_the_sound_can_be_muted(
     anna.by("mute").click()
     assert anna.by("mute").inner_text() == "Sound off"
     tones = page.evaluate("window.tones")
-    flight.source.spots.add([report(4, 3), report(5, 3)])
+    flight.source.views.spots.add([report(4, 3), report(5, 3)])
     page.wait_for_selector("[data-testid=found][data-spot='3'][data-news=yes]")
     assert page.evaluate("window.tones") == tones
     page.keyboard.press("1")
@@ -168,7 +168,7 @@ def test_a_find_alarms_is_confirmed_or_dismissed_and_the_sound_can_be_muted(
     assert anna.newest_pin()["category"] == "person" and "52.0 degC" in anna.newest_pin()["note"]
     page.locator("[data-spot='3'] [data-testid=dismiss]").click()
     page.wait_for_function("() => document.querySelectorAll('[data-testid=found]').length === 1")
-    flight.source.spots.add([report(6, 3), report(7, 3)])
+    flight.source.views.spots.add([report(6, 3), report(7, 3)])
     anna.wait_for_pins(1)
     assert [row.get_attribute("data-spot") for row in anna.by("found").all()] == ["1"]
     # What is there when a page is opened is no news: it is listed, and does not sound.
@@ -189,7 +189,7 @@ def test_a_fire_is_an_area_on_the_map_with_its_words(flying: Callable[[], tuple[
     for frame in range(3):
         made = report(frame, 1)
         spot = replace(made.spots[0], temperature_c=400.0, area_m2=600.0, outline_en_m=ring)
-        flight.source.spots.add([replace(made, spots=(spot,))])
+        flight.source.views.spots.add([replace(made, spots=(spot,))])
     page.get_by_test_id("fire-minutes").select_option("15")
     page.wait_for_function("() => document.querySelector('[data-testid=fire-words]').textContent.includes('fire of')")
     assert "surely" in anna.by("fire-words").inner_text() and "perimeter" in anna.by("fire-words").inner_text()

@@ -16,6 +16,7 @@ from starlette.testclient import TestClient
 from contract.answer import Ellipse, Fix, Place
 from contract.errors import LinkError
 from contract.locate import Locator
+from contract.topics import TRACKS
 from contract.track import Course, StartTrack, StopTrack, TrackReport, TrackState, Unseen
 from contract.wire.track_code import decode_tracks, encode_track
 from ground.pins.store import PinStore
@@ -120,17 +121,17 @@ def test_a_track_is_begun_and_ended_by_a_request_and_refused_with_the_aircrafts_
 
 def test_reports_are_there_as_paths_and_come_as_events(tmp_path: Path) -> None:
     with api(tmp_path) as (client, source):
-        source.tracks.add([report_at(k, 300.0, 240.0) for k in range(3)])
+        source.views.tracks.add([report_at(k, 300.0, 240.0) for k in range(3)])
         (path,) = client.get("/api/tracks").json()["tracks"]
         assert [r["frame"] for r in path] == [0, 1, 2]
         assert path[2]["words"] == "1.4 +-0.1 m/s towards 92 +-4 deg" and path[2]["course"]["sigma_speed_m_s"] == 0.1
         with client.websocket_connect("/api/events", headers={"host": "127.0.0.1:8080"}) as socket:
-            source.tracks.add([report_at(3, 300.0, 240.0, course=REST), report_at(4, 300.0, 240.0, place=None)])
+            source.views.tracks.add([report_at(3, 300.0, 240.0, course=REST), report_at(4, 300.0, 240.0, place=None)])
             received: list[dict[str, Any]] = []
             while len(received) < 2:
                 event = socket.receive_json()
                 if event["type"] == "tracks":
-                    received += [report for report in event["reports"] if report["frame"] > 2]
+                    received += [report for report in event["tracks"] if report["frame"] > 2]
         assert received[0]["words"] == "at rest (+-0.05 m/s)" and received[0]["course"]["course_deg"] is None
         assert received[1]["place"] is None
 
@@ -176,11 +177,11 @@ def test_a_live_aircraft_is_asked_and_what_it_reports_is_kept_through_a_restart(
 
         def is_received() -> bool:
             publisher.publish(rendered_set(0))
-            publisher.publish_tracks(encode_track(report) + encode_track(replace(report, number=5)))
-            return source.tracks.version >= 2 and source.vehicles() == [VEHICLE]
+            publisher.report(TRACKS, encode_track(report) + encode_track(replace(report, number=5)))
+            return source.views.tracks.version >= 2 and source.vehicles() == [VEHICLE]
 
         assert eventually(is_received)
-        assert [path[0].number for path in source.tracks.paths()] == [4, 5]
+        assert [path[0].number for path in source.views.tracks.paths()] == [4, 5]
         assert source.follow(VEHICLE, StartTrack(320.0, 200.0, 7)) == {"track": 4, "frame": 7}
         with pytest.raises(LinkError, match="full: eight are followed"):
             source.follow(VEHICLE, StartTrack(10.0, 20.0, 7))
@@ -190,8 +191,8 @@ def test_a_live_aircraft_is_asked_and_what_it_reports_is_kept_through_a_restart(
         publisher.close()
     again = LiveSource([free_endpoint()], journal=tmp_path / "link")
     try:
-        assert eventually(lambda: again.tracks.version == 2)
-        assert again.tracks.paths()[0][0] == decode_tracks(encode_track(report), VEHICLE)[0]
+        assert eventually(lambda: again.views.tracks.version == 2)
+        assert again.views.tracks.paths()[0][0] == decode_tracks(encode_track(report), VEHICLE)[0]
     finally:
         again.close()
 
@@ -201,7 +202,7 @@ def test_a_live_aircraft_is_asked_and_what_it_reports_is_kept_through_a_restart(
 
 def fly(operator: Operator, flight: Flight, frame: int, *reports: TrackReport) -> None:
     """The next picture comes, and these reports."""
-    flight.source.tracks.add(reports)
+    flight.source.views.tracks.add(reports)
     flight.source.fly_to(frame + 1)
     operator.wait_for_frame(frame)
 
@@ -324,7 +325,7 @@ def test_of_a_recording_what_was_followed_then_is_shown(tmp_path: Path, chromium
         for k in range(2, 9):
             state = TrackState.LOST if k == 8 else TrackState.FOLLOWED
             report = report_at(k, 300.0 + 8.0 * k, 200.0, state=state)
-            out.write_tracks(report.capture_unix_ns, encode_track(report))
+            out.write_report(TRACKS, report.capture_unix_ns, encode_track(report))
     server = Server("--from", path.with_name("one.001.mcap"), "--pins", tmp_path / "pins.sqlite")
     try:
         anna = Operator(chromium, server)

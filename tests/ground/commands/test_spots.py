@@ -15,6 +15,7 @@ from contract.feature_set import Status
 from contract.spot import Spot, SpotReport
 from contract.topics import FEATURES, SPOTS
 from contract.wire.codec import encode
+from contract.wire.message import SPOT_REPORTS
 from contract.wire.spot_code import encode_spots
 from ground.__main__ import main
 from ground.commands.spots import is_news
@@ -56,7 +57,7 @@ def recorded(folder: Path) -> Path:
 
 
 def test_what_was_recorded_is_read_again(tmp_path: Path) -> None:
-    found = Recording(recorded(tmp_path / "flight")).spots(["uav-1"])
+    found = Recording(recorded(tmp_path / "flight")).reports(SPOT_REPORTS, ["uav-1"])
     assert len(found) == PICTURES and [r.frame for r in found] == list(range(PICTURES))
     assert len(found[0].spots) == 2 and len(found[4].spots) == 3 and found[0].vehicle == "uav-1"
 
@@ -108,7 +109,7 @@ def test_live_a_thing_is_reported_when_it_is_sure_and_again_when_it_has_changed(
             for turn in range(10_000):
                 for report in sent:
                     publisher.publish(replace(plain_set(5), vehicle="uav-1", session=session + turn))
-                    publisher.publish_spots(encode_spots(replace(report, session=session + turn)))
+                    publisher.report(SPOTS, encode_spots(replace(report, session=session + turn)))
                     if ended.wait(0.06):
                         return
 

@@ -13,7 +13,9 @@ import numpy as np
 import pytest
 
 from contract.geodesy import LocalFrame
+from contract.topics import TRACKS
 from contract.track import Course, TrackReport, TrackState, Unseen
+from contract.wire.message import TRACK_REPORTS
 from contract.wire.track_code import decode_track, encode_track
 from ground.__main__ import main
 from ground.formats import cot, track_path
@@ -54,7 +56,7 @@ class Following(threading.Thread):
                 continue
             state = TrackState.LOST if count >= 5 else TrackState.FOLLOWED
             other = replace(REPORT, number=9, state=TrackState.FOLLOWED)
-            self.publisher.publish_tracks(encode_track(other) + encode_track(replace(REPORT, state=state)))
+            self.publisher.report(TRACKS, encode_track(other) + encode_track(replace(REPORT, state=state)))
 
 
 @pytest.fixture
@@ -220,8 +222,10 @@ def test_what_was_followed_is_in_the_recording(tmp_path: Path, capsys: pytest.Ca
         file.write_set(replace(plain_set(5), vehicle="uav-1"))
         for k in range(3):
             moved = replace(REPORT, capture_unix_ns=NOW_NS + k * 500_000_000)
-            file.write_tracks(moved.capture_unix_ns, encode_track(moved) + encode_track(replace(moved, number=4)))
-        file.write_tracks(NOW_NS + 9, b"\xff")
+            file.write_report(
+                TRACKS, moved.capture_unix_ns, encode_track(moved) + encode_track(replace(moved, number=4))
+            )
+        file.write_report(TRACKS, NOW_NS + 9, b"\xff")
     assert main(["track", "--from", str(path), "--json", "--save", str(tmp_path / "all.kml")]) == 0
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert [line["track"] for line in lines] == [3, 4] * 3 and {line["vehicle"] for line in lines} == {"uav-1"}
@@ -244,7 +248,7 @@ def test_what_is_followed_is_watched_and_recorded_from_the_link(
         def publish() -> None:
             while not ended.wait(0.05):
                 publisher.publish(there)
-                publisher.publish_tracks(encode_track(report) + encode_track(replace(report, number=4)))
+                publisher.report(TRACKS, encode_track(report) + encode_track(replace(report, number=4)))
 
         thread = threading.Thread(target=publish, daemon=True)
         thread.start()
@@ -266,7 +270,9 @@ def test_what_is_followed_is_watched_and_recorded_from_the_link(
                 folder = tmp_path / f"try {next(tries)}"
                 assert main(["record", "--to", str(folder), "--seconds", "0.8", "--connect", endpoint]) == 0
                 printed = capsys.readouterr().out
-                return "uav-1-1700000000.001.mcap" in printed and bool(Recording(folder).tracks("uav-1"))
+                return "uav-1-1700000000.001.mcap" in printed and bool(
+                    Recording(folder).reports(TRACK_REPORTS, ["uav-1"])
+                )
 
             assert eventually(is_recorded)
         finally:

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import pytest
 import zenoh
 
 from contract import topics
 from contract.link_config import link_config
-from contract.topics import FEATURES, PICTURE, QUERY, SPOTS, STATUS, TRACKS, Qos, Topic
+from contract.topics import QUERY, REPORTS, Qos, Topic
 from contract.vehicle_status import VehicleStatus, encode_status
 from ground import client
 from ground.freshness import Reply
-from onboard.link import publisher as onboard_publisher
-from onboard.link.byte_budget import Kind
 from onboard.link.publisher import Publisher, Rate
 from tests.contract.pictures import small_picture
 from tests.contract.sets import plain_set
@@ -35,17 +31,12 @@ def expected(qos: Qos) -> tuple[str, str, bool]:
 
 
 @pytest.mark.parametrize("changed", [False, True])
-@pytest.mark.parametrize("topic", topics.TOPICS, ids=lambda topic: topic.template.rsplit("/", 1)[1])
+@pytest.mark.parametrize("topic", topics.TOPICS, ids=lambda topic: topic.name)
 def test_what_is_published_has_the_quality_of_the_table(
     monkeypatch: pytest.MonkeyPatch, topic: Topic, changed: bool
 ) -> None:
     if changed:
-        other = dataclasses.replace(topic, qos=OTHER)
-        monkeypatch.setattr(
-            onboard_publisher,
-            {FEATURES: "FEATURES", STATUS: "STATUS", PICTURE: "PICTURE", TRACKS: "TRACKS", SPOTS: "SPOTS"}[topic],
-            other,
-        )
+        monkeypatch.setitem(vars(topic), "qos", OTHER)
     endpoint = free_endpoint()
     received: list[zenoh.Sample] = []
     config = zenoh.Config.from_json5(link_config("client", connect=[endpoint]))
@@ -55,20 +46,16 @@ def test_what_is_published_has_the_quality_of_the_table(
         def is_received() -> bool:
             flying.publish(plain_set(10))
             flying.publish_status(encode_status(VehicleStatus(1.7e9, 7, "ok")), b"{}")
-            flying.publish_tracks(b"tracks")
-            flying.publish_spots(b"spots")
+            for report in REPORTS:
+                flying.report(report, b"a report")
             if room := flying.picture_room():
                 flying.send_picture(small_picture(), room)
             return bool(received)
 
         assert eventually(is_received)
-        declared = {
-            FEATURES: flying._publisher, STATUS: flying._status_publisher, PICTURE: flying._picture_publisher,
-            TRACKS: flying._report_publishers[Kind.TRACK], SPOTS: flying._report_publishers[Kind.SPOTS],
-        }[topic]  # fmt: skip
         qos = OTHER if changed else topic.qos
         assert of(received[0]) == expected(qos)
-        assert str(declared.reliability) == str(getattr(zenoh.Reliability, qos.reliability))
+        assert str(flying._publishers[topic].reliability) == str(getattr(zenoh.Reliability, qos.reliability))
 
 
 @pytest.mark.parametrize("qos", [QUERY, Qos("RELIABLE", "DROP", "DATA_LOW", express=False)])

@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from onboard.link.byte_budget import BURST_S, CONNECT_BYTES, OLDER_SHARE, PACKET_BYTES, Budget, Kind
+from contract.topics import STATUS
+from onboard.link.byte_budget import BURST_S, CONNECT_BYTES, OLDER_SHARE, PACKET_BYTES, USES, Budget, Kind
 from onboard.link.set_selection import Offer, Selection
 from tests.onboard.link.virtual import START_NS, Delivered, Radio, an_offer, flight, run, sets
 from tests.rest_long import rest_long
@@ -132,8 +133,8 @@ def test_no_window_of_time_has_more_new_sets_than_the_greatest_rate_nor_half_as_
 
 def test_replies_do_not_silence_sets_and_are_not_silenced_by_them() -> None:
     sent = run(Budget(16000.0, 0.2, 30.0, 0.0), flight(20.0), 20.0, 600, 300, 30.0)
-    kinds = {kind: sum(s.kind is kind for s in sent) for kind in Kind}
-    assert kinds[Kind.SET] >= 15 and kinds[Kind.REPLY] >= 10 and kinds[Kind.STATUS] >= 15
+    kinds = {kind: sum(s.kind is kind for s in sent) for kind in USES}
+    assert kinds[Kind.SET] >= 15 and kinds[Kind.REPLY] >= 10 and kinds[STATUS] >= 15
 
 
 @pytest.mark.parametrize("max_bit_rate", [4000.0, 32_000.0])

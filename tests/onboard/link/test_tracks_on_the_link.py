@@ -12,12 +12,12 @@ import zenoh
 from contract.errors import LinkError
 from contract.fleet import Fleet
 from contract.link_config import Tls, link_config
-from contract.topics import FOLLOW
+from contract.topics import FOLLOW, SPOTS, TRACKS
 from contract.track import ListTracks, StartTrack, StopTrack
 from contract.wire.track_code import encode_track
 from ground.router import _rights
 from ground.track_link import TrackLink, TrackRefused
-from onboard.link.byte_budget import Budget, Kind
+from onboard.link.byte_budget import USES, Budget, Kind
 from onboard.link.certificates import make_credentials
 from onboard.link.publisher import Publisher, Rate
 from tests.contract.sets import plain_set
@@ -45,7 +45,7 @@ def test_a_track_is_asked_for_and_its_reports_are_received() -> None:
             received: list[str] = []
 
             def is_told(payload: bytes) -> bool:
-                flying.publish_tracks(payload)
+                flying.report(TRACKS, payload)
                 while (report := link.next(0.1)) is not None:
                     received.append(report.to_text())
                 return len(received) >= 2 and len(received) % 2 == 0
@@ -64,12 +64,12 @@ def test_reports_of_a_session_that_does_not_run_are_left_out() -> None:
         flying.publish(made)
 
         def is_received() -> bool:
-            flying.publish_tracks(encode_track(old) + encode_track(REPORT))
+            flying.report(TRACKS, encode_track(old) + encode_track(REPORT))
             return link.next(0.2) is not None and link.left_out > 0
 
         assert eventually(is_received)
         for _ in range(20):
-            flying.publish_tracks(encode_track(old) + encode_track(REPORT))
+            flying.report(TRACKS, encode_track(old) + encode_track(REPORT))
             report = link.next(0.05)
             assert report is None or report.session == REPORT.session
 
@@ -99,7 +99,7 @@ def test_only_the_named_may_follow(tmp_path: Path) -> None:
                 ben.ask(StopTrack(3))
 
             def is_received() -> bool:
-                flying.publish_tracks(encode_track(REPORT))
+                flying.report(TRACKS, encode_track(REPORT))
                 return ben.next(0.3) is not None
 
             assert eventually(is_received)  # to read is another right
@@ -131,34 +131,34 @@ def test_through_a_router_operators_may_follow_and_viewers_may_not() -> None:
 def test_reports_of_eight_tracks_leave_sets_their_rate_at_their_bit_rate() -> None:
     """A minute at 64 kbit/s: five sets a second, and reports of 8 x 57 bytes twice a second."""
     budget = Budget(64_000.0, 0.2, 5.0, 0.0)
-    sent = dict.fromkeys(Kind, 0)
+    sent = dict.fromkeys(USES, 0)
     due_set = due_tracks = 0.0
     for step in range(60_000):
         now_s = step * 0.001
         budget.waits(Kind.SET, 600 if now_s >= due_set else None, now_s)
-        budget.waits(Kind.TRACK, 456 if now_s >= due_tracks else None, now_s)
-        if now_s >= due_tracks and budget.send(Kind.TRACK, 456, now_s):
-            sent[Kind.TRACK] += 1
+        budget.waits(TRACKS, 456 if now_s >= due_tracks else None, now_s)
+        if now_s >= due_tracks and budget.send(TRACKS, 456, now_s):
+            sent[TRACKS] += 1
             due_tracks += 0.5
         if now_s >= due_set and budget.send(Kind.SET, 600, now_s):
             sent[Kind.SET] += 1
             due_set += 0.2
-    assert sent[Kind.SET] >= 290 and 110 <= sent[Kind.TRACK] <= 121
+    assert sent[Kind.SET] >= 290 and 110 <= sent[TRACKS] <= 121
 
 
 def test_full_packets_of_spots_leave_sets_their_rate_and_go_twice_a_second() -> None:
     """A minute at 64 kbit/s: five sets a second, and 200 bytes of spots twice a second."""
     budget = Budget(64_000.0, 0.2, 5.0, 0.0)
-    sent = dict.fromkeys(Kind, 0)
+    sent = dict.fromkeys(USES, 0)
     due_set = due_spots = 0.0
     for step in range(60_000):
         now_s = step * 0.001
         budget.waits(Kind.SET, 600 if now_s >= due_set else None, now_s)
-        budget.waits(Kind.SPOTS, 200 if now_s >= due_spots else None, now_s)
-        if now_s >= due_spots and budget.send(Kind.SPOTS, 200, now_s):
-            sent[Kind.SPOTS] += 1
+        budget.waits(SPOTS, 200 if now_s >= due_spots else None, now_s)
+        if now_s >= due_spots and budget.send(SPOTS, 200, now_s):
+            sent[SPOTS] += 1
             due_spots += 0.5
         if now_s >= due_set and budget.send(Kind.SET, 600, now_s):
             sent[Kind.SET] += 1
             due_set += 0.2
-    assert sent[Kind.SET] >= 290 and 110 <= sent[Kind.SPOTS] <= 121
+    assert sent[Kind.SET] >= 290 and 110 <= sent[SPOTS] <= 121

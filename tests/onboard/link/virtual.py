@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from contract.topics import STATUS
 from onboard.link.byte_budget import PACKET_BYTES, Budget, Kind
 from onboard.link.publisher import BACKLOG_BYTES, BACKLOG_S
 from onboard.link.set_selection import Offer, Selection
@@ -112,10 +113,10 @@ def run(
         chosen, older = selection.next(now_s), selection.next_of_rest(now_s) if is_clear else None
         budget.waits(Kind.SET, set_bytes if chosen is not None else None, now_s)
         budget.waits(Kind.OLDER, set_bytes if older is not None else None, now_s)
-        budget.waits(Kind.STATUS, status_bytes if status_bytes and now_s >= status_due else None, now_s)
+        budget.waits(STATUS, status_bytes if status_bytes and now_s >= status_due else None, now_s)
         budget.waits(Kind.REPLY, set_bytes if replies_hz and now_s >= replies_due else None, now_s)
-        if status_bytes and now_s >= status_due and budget.send(Kind.STATUS, status_bytes, now_s):
-            sent.append(Sent(now_s, Kind.STATUS, budget.cost(Kind.STATUS, status_bytes)))
+        if status_bytes and now_s >= status_due and budget.send(STATUS, status_bytes, now_s):
+            sent.append(Sent(now_s, STATUS, budget.cost(STATUS, status_bytes)))
             status_due = now_s + 1.0
         if replies_hz and now_s >= replies_due and budget.send(Kind.REPLY, set_bytes, now_s):
             sent.append(Sent(now_s, Kind.REPLY, budget.cost(Kind.REPLY, set_bytes)))

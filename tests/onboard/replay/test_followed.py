@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from contract.track import TrackReport, TrackState
+from contract.wire.message import TRACK_REPORTS
 from ground.recording import Recording
 from onboard.__main__ import main
 from onboard.replay.followed import Clicked, Followed
@@ -55,7 +56,7 @@ def test_a_replay_follows_prints_and_records(tmp_path: Path, capsys: pytest.Capt
     lines = [json.loads(line) for line in printed.splitlines() if line.startswith("{")]
     assert len(lines) >= 3 and {line["track"] for line in lines} == {1} and lines[-1]["state"] == "followed"
     assert "nothing could be followed at 5 5 of picture 900" in output
-    recorded = Recording(out).tracks("uav")
+    recorded = Recording(out).reports(TRACK_REPORTS, ["uav"])
     assert [report.frame for report in recorded] == [line["frame"] for line in lines]
 
 

@@ -14,8 +14,8 @@ from mcap.reader import make_reader
 
 from contract.feature_set import FeatureSet
 from contract.geodesy import LocalFrame
-from contract.recording_format import SPOT_ENCODING
 from contract.spot import SpotReport
+from contract.topics import SPOTS
 from contract.wire.spot_code import MAX_SPOT_BYTES, decode_spots
 from onboard.__main__ import main
 from onboard.config.schema import parse_config
@@ -116,7 +116,7 @@ def test_a_replay_prints_and_records_them(tmp_path: Path, capsys: pytest.Capture
     recorded = [
         decode_spots(message.data, "uav")
         for _, channel, message in make_reader(out.open("rb")).iter_messages()
-        if channel.message_encoding == SPOT_ENCODING
+        if channel.message_encoding == SPOTS.encoding
     ]
     assert [report.frame for report in recorded] == [line["frame"] for line in lines]
 
@@ -148,7 +148,7 @@ def test_a_replay_takes_a_second_cameras_pictures_by_their_own_stamps(
     recorded = [
         decode_spots(message.data, "uav")
         for _, channel, message in make_reader(out.open("rb")).iter_messages()
-        if channel.message_encoding == SPOT_ENCODING
+        if channel.message_encoding == SPOTS.encoding
     ]
     assert [report.frame for report in recorded] == [line["frame"] for line in lines]
     car = next(csv.DictReader((heat / "truth_heat.csv").open()))

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from contract.feature_set import FeatureSet
+from contract.topics import TRACKS
 from contract.track import StartTrack, TrackReport, TrackState
 from ground.track_link import TrackLink
 from onboard.commands.run import open_parts
@@ -68,7 +69,7 @@ def test_a_spot_of_ground_is_followed_through_a_flight_at_rest(tmp_path: Path) -
     received: list[TrackReport] = []
     with (
         Publisher("uav", [endpoint], rate=Rate(1e6)) as link,
-        TrackThread(Config(), [lambda _, payload: link.publish_tracks(payload)]) as tracks,
+        TrackThread(Config(), [lambda _, payload: link.report(TRACKS, payload)]) as tracks,
         TrackLink(endpoint, "uav") as ground,
     ):
         link.follow = tracks.answer

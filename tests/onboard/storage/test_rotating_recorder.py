@@ -21,6 +21,7 @@ from mcap.reader import make_reader
 from contract.camera import Camera
 from contract.errors import InputError
 from contract.feature_set import FeatureSet
+from contract.topics import STATUS
 from contract.vehicle_status import VehicleStatus, encode_status
 from contract.wire.codec import decode
 from ground.__main__ import main as ground_main
@@ -85,7 +86,7 @@ class Reporting(SetSink):
         self._sink = sink
 
     def feature_set(self, output: FeatureSet) -> None:
-        self._sink.status(output.capture_unix_ns, encode_status(VehicleStatus(1.7e9, 7, "ok")))
+        self._sink.report(STATUS, output.capture_unix_ns, encode_status(VehicleStatus(1.7e9, 7, "ok")))
 
 
 @pytest.fixture(scope="module")
@@ -373,7 +374,7 @@ def test_a_killed_process_loses_at_most_the_last_second(tmp_path: Path) -> None:
         "        for made in pipeline.handle(event):\n"
         "            sink.feature_set(made)\n"
         "            say(made.frame, made.revision)\n"
-        "    while True:\n        time.sleep(0.01)\n        sink.status(0, b'{}')\n"
+        "    while True:\n        time.sleep(0.01)\n        sink.report(STATUS, 0, b'{}')\n"
     )
     command = [sys.executable, "-c", script, str(tmp_path)]
     handed_s: dict[tuple[int, int], float] = {}
