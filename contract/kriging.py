@@ -85,26 +85,31 @@ class Kriging:
         self._is_surface = is_surface
 
     def predict(self, xy: Array) -> tuple[Array, Array]:
-        """r (M,) at points (M, 2) and the covariance (M, M) of its errors."""
-        places, away, known, left = self._from_features(xy)
+        """r (..., M) at points (..., M, 2) and the covariance (..., M, M) of its errors: each group of M by itself."""
+        groups = xy.shape[:-1]
+        places, away, known, left = self._from_features(xy.reshape(-1, 2))
+        r, grown = places @ self._beta + known @ self._residual, np.sqrt(self._grown(xy.reshape(-1, 2)))
+        nearest = None if self._astray is None else self._astray[np.argmin(away, axis=1)].reshape(groups)
+        places, known, left = (found.reshape(*groups, -1) for found in (places, known, left))
         apart = distances(places, places)
-        covariance = self._covariance(apart) - known @ known.T + left @ self._trend_cov @ left.T
-        if self._astray is not None:
+        covariance = self._covariance(apart) - known @ _turned(known) + left @ self._trend_cov @ _turned(left)
+        if nearest is not None:
             # A rough surface is rough by its own errors too: what interpolation allows for already is not added again.
-            astray = self._astray[np.argmin(away, axis=1)]
-            sigma = np.sqrt(np.maximum(astray - np.diag(covariance), 0.0))
-            correlation = np.exp(-apart / max(self._spacing, 1e-9))
-            covariance = covariance + np.outer(sigma, sigma) * correlation
-        grown = np.sqrt(self._grown(xy))
-        return places @ self._beta + known @ self._residual, covariance * np.outer(grown, grown)
+            stated = np.diagonal(covariance, axis1=-2, axis2=-1)
+            sigma = np.sqrt(np.maximum(nearest - stated, 0.0))
+            covariance = covariance + _outer(sigma) * np.exp(-apart / max(self._spacing, 1e-9))
+        return r.reshape(groups), covariance * _outer(grown.reshape(groups))
 
     def predict_each(self, xy: Array) -> tuple[Array, Array]:
-        """r (M,) at points (M, 2) and the variances (M,) of its errors: `predict` without what they have in common."""
-        places, away, known, left = self._from_features(xy)
-        variance = self._sill - (known**2).sum(axis=1) + ((left @ self._trend_cov) * left).sum(axis=1)
-        if self._astray is not None:
-            variance = np.maximum(variance, self._astray[np.argmin(away, axis=1)])
-        return places @ self._beta + known @ self._residual, variance * self._grown(xy)
+        """r (M,) at points (M, 2) and the variances (M,) of its errors: `predict` of each as a group by itself."""
+        r, covariance = self.predict(xy[:, None])
+        return r[:, 0], covariance[:, 0, 0]
+
+    def values(self, xy: Array) -> Array:
+        """r (M,) at points (M, 2) alone."""
+        places, _, known, _ = self._from_features(xy)
+        out: Array = places @ self._beta + known @ self._residual
+        return out
 
     def measured_variance(self, xy: Array) -> Array:
         """The part (M,) of the variances at points (M, 2) that comes from the features' own noise.
@@ -208,13 +213,23 @@ def _below_horizon(xy: Array, plane: Array) -> Array:
 
 
 def distances(a: Array, b: Array) -> Array:
-    """Between every two places (M, D) and (N, D): (M, N)."""
-    out: Array = np.zeros((len(a), len(b)))
-    for mine, other in zip(a.T, b.T, strict=True):
-        along = mine[:, None] - other
+    """Between every two places (..., M, D) and (..., N, D): (..., M, N)."""
+    out: Array = np.zeros((*a.shape[:-1], b.shape[-2]))
+    for axis in range(a.shape[-1]):
+        along = a[..., :, None, axis] - b[..., None, :, axis]
         along *= along
         out += along
     return np.asarray(np.sqrt(out), np.float64)
+
+
+def _turned(rows: Array) -> Array:
+    """The transpose (..., N, M) of matrices (..., M, N)."""
+    return np.swapaxes(rows, -1, -2)
+
+
+def _outer(a: Array) -> Array:
+    """The products (..., M, M) of every two of (..., M)."""
+    return a[..., :, None] * a[..., None, :]
 
 
 def convex_hull(points: Array) -> Array:
@@ -244,11 +259,6 @@ def hull_area(hull: Array) -> float:
         return 0.0
     x, y = hull.T
     return 0.5 * float(x @ np.roll(y, -1) - y @ np.roll(x, -1))
-
-
-def distance_outside(hull: Array, xy: Array) -> float:
-    """Distance from a point (2,) to a convex polygon, 0 inside; infinite for a hull without area."""
-    return float(distances_outside(hull, xy[None])[0])
 
 
 def distances_outside(hull: Array, xy: Array) -> Array:

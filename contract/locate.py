@@ -15,7 +15,7 @@ that and its own error stand for kriging's at this pixel, and nowhere else: (29.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 from contract.answer import CHI2_2, Answer, Ellipse, Fix, Refusal
 from contract.feature_set import COMMON_STATES, DepthSource, FeatureSet, HeightDatum, Measured, Status
 from contract.geodesy import LocalFrame
-from contract.kriging import MIN_PLANE_SHARE, Kriging, distance_outside, distances_outside, hull_area, stretch
+from contract.kriging import MIN_PLANE_SHARE, Kriging, distances_outside, hull_area, stretch
 from contract.rolling_shutter import row_share
 from contract.rotations import skew
 
@@ -38,19 +38,27 @@ MIN_INVERSE_DEPTH_SIGMAS = 3.0
 MAX_ELLIPSE_SHARE = 0.3
 SAME_PX = 1e-3  # a pixel and the same on the wire
 GROUND_STEPS = 4  # to the ground below what was measured: each gains two digits
+STATUSES = tuple(Status)
+OK, OUTSIDE, ABOVE_HORIZON = Status.OK.code, Status.OUTSIDE.code, Status.ABOVE_HORIZON.code
 SHUTTER_STEPS = 2  # of the place that a pixel of another row than the middle has: the second moves it by microns
 
 
 @dataclass(frozen=True, eq=False)
-class _Located:
-    """A click that met the ground: its unit-depth coordinates (2,), offset from the camera (m) and how it was found."""
+class _Clicks:
+    """M clicks: why each has no place (M,), as places in STATUSES, and of those that are OK how they met the ground.
 
+    Unit-depth coordinates `xy` (M, 2), the offset from the camera (M, 3), d ln w / d r of kriging's prediction (M,),
+    its variance (M,), and d offset (m) / d readout (s) of the picture (M, 3).
+    """
+
+    status: NDArray[np.int_]
     xy: Array
     offset_enu_m: Array
-    relative: float  # d ln w / d r of kriging's prediction
-    variance: Array  # of r (1, 1)
-    method: str
-    by_readout: Array = field(default_factory=lambda: np.zeros(3))  # d offset (m) / d readout (s) of the picture
+    relative: Array
+    variance: Array
+    by_readout: Array
+    is_beyond: NDArray[np.bool_]  # the features' hull
+    is_measured: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,25 +124,25 @@ class Locator:
         # At the camera; its height is above the ellipsoid where that is known.
         self.frame = LocalFrame(s.camera_lat_deg, s.camera_lon_deg, s.camera_height_m + shift)
         self._datum_shift_m = shift
-        self._newest: tuple[tuple[float, float], _Located | Status] | None = None
+        self._newest: tuple[tuple[float, float], _Clicks] | None = None
 
     def locate(self, uv_px: ArrayLike, pixel_root: ArrayLike | None = None) -> Answer:
         """A pixel (2,) -> Fix or Refusal. `pixel_root` (2, k): a root of the pixel's own covariance, where it is not
         exact.
         """
         uv = np.asarray(uv_px, float)
-        located = self._located(uv)
-        if isinstance(located, Status):
-            return self._refusal(located)
-        covariance = self._covariance([located])
+        click = self._click(uv)
+        if isinstance(click, Status):
+            return self._refusal(click)
+        covariance = self._covariances(click)
         if pixel_root is not None:
-            moved = self._by_pixel(uv[None], np.array([1.0 / located.relative]))[0] @ np.asarray(pixel_root, float)
-            covariance = covariance + moved @ moved.T
-        ellipse = Ellipse.from_covariance(covariance[:2, :2])
-        if not ellipse.semi_major_m <= MAX_ELLIPSE_SHARE * self._height_m:
+            moved = self._by_pixel(uv[None], 1.0 / click.relative) @ np.asarray(pixel_root, float)
+            covariance = covariance + moved @ np.swapaxes(moved, -1, -2)
+        if not self._is_certain(covariance)[0]:
             return self._refusal(Status.UNCERTAIN)
+        (covariance,), (offset_enu_m,) = covariance, click.offset_enu_m
         s = self.feature_set
-        lat, lon, height = (float(c) for c in self.frame.to_geodetic(located.offset_enu_m))
+        lat, lon, height = (float(c) for c in self.frame.to_geodetic(offset_enu_m))
         height -= self._datum_shift_m
         n = self._undulation_m
         other = None if n is None else height - n if self._is_ellipsoidal else height + n
@@ -143,15 +151,15 @@ class Locator:
             lon_deg=lon,
             height_ellipsoid_m=height if self._is_ellipsoidal else other,
             height_amsl_m=other if self._is_ellipsoidal else height,
-            ellipse=ellipse,
+            ellipse=Ellipse.from_covariance(covariance[:2, :2]),
             sigma_height_m=math.sqrt(max(float(covariance[2, 2]), 0.0)),
-            method=located.method,
+            method=self._method(click).value,
             frame=s.frame,
             capture_unix_ns=s.capture_unix_ns,
             vehicle=s.vehicle,
-            offset_enu_m=located.offset_enu_m,
+            offset_enu_m=offset_enu_m,
             covariance_enu_m2=covariance,
-            above_ground_m=None if (above := self._above_ground(located)) is None else above[0],
+            above_ground_m=None if (above := self._above_ground(click)) is None else above[0],
             sigma_above_ground_m=None if above is None else above[1],
             unmeasured=self._unmeasured(uv),
         )
@@ -161,27 +169,28 @@ class Locator:
 
         Two thirds of the time that `locate` takes.
         """
-        located = self._located(np.asarray(uv_px, float))
-        return located if isinstance(located, Status) else located.offset_enu_m
+        click = self._click(np.asarray(uv_px, float))
+        return click if isinstance(click, Status) else np.asarray(click.offset_enu_m[0], np.float64)
 
     def difference_covariance(self, uv1_px: ArrayLike, uv2_px: ArrayLike) -> Array | None:
         """Covariance (3, 3), m^2, of the vector between two clicks of this set; None if one has no answer."""
-        one, two = self._located(np.asarray(uv1_px, float)), self._located(np.asarray(uv2_px, float))
-        if isinstance(one, Status) or isinstance(two, Status):
+        clicks = self._found(np.array([uv1_px, uv2_px], float))
+        if np.any(clicks.status != OK):
             return None
-        joint = self._covariance([one, two])
-        return joint[:3, :3] + joint[3:, 3:] - joint[:3, 3:] - joint[3:, :3]
+        joint = self._covariances(clicks, 2)[0]
+        out: Array = joint[:3, :3] + joint[3:, 3:] - joint[:3, 3:] - joint[3:, :3]
+        return out
 
     def error_parts(self, uv_px: ArrayLike) -> ErrorParts | None:
         """The parts of a click's error that are its own; None if it has no answer."""
         uv = np.asarray(uv_px, float)
-        located = self._located(uv)
-        if isinstance(located, Status):
+        click = self._click(uv)
+        if isinstance(click, Status):
             return None
-        measured = located.method == Measured.MEASURED.value
-        ground, noise = (0.0, float(located.variance[0, 0])) if measured else self.own_variances(located.xy)
-        by_pixel = self._by_pixel(uv[None], np.array([1.0 / located.relative]))[0]
-        return ErrorParts(located.relative * math.sqrt(ground), located.relative * math.sqrt(noise), by_pixel)
+        own = 0.0, float(click.variance[0])
+        ground, noise = own if click.is_measured[0] else self.own_variances(click.xy[0])
+        by_pixel, relative = self._by_pixel(uv[None], 1.0 / click.relative)[0], float(click.relative[0])
+        return ErrorParts(relative * math.sqrt(ground), relative * math.sqrt(noise), by_pixel)
 
     def own_variances(self, xy: Array) -> tuple[float, float]:
         """Variances of a click's own inverse depth over the plane's, at unit-depth coordinates (2,): from the ground
@@ -198,32 +207,21 @@ class Locator:
 
     def answers(self, uv_px: ArrayLike) -> Answers:
         """Many pixels (M, 2) at once, each by itself."""
-        s, uv = self.feature_set, np.asarray(uv_px, float)
-        rays, answered = s.camera.unproject(uv)
-        nothing = np.full((len(uv), 3, 5), np.nan)
-        if not (s.is_ok and self._has_ground):
-            return Answers(nothing[:, :, 0], nothing[:, :, :3], nothing[:, :, :2], np.zeros(len(uv), bool))
-        xy, late = self._at_middle_row(rays[:, :2], uv[:, 1])
-        plane = s.plane_per_m[0] + xy @ s.plane_per_m[1:]
-        answered &= plane > self._plane_floor
-        if s.depth_source is not DepthSource.PLANE:
-            answered &= distances_outside(self._hull, xy) <= self._max_outside
-        r, variance = self._kriging.predict_each(xy)
-        relative, variance = 1.0 + r, np.maximum(variance, 0.0)
-        answered &= relative > MIN_INVERSE_DEPTH_SIGMAS * np.sqrt(variance)
-        plane, relative = np.where(answered, plane, 1.0), np.where(answered, relative, 1.0)
-        offset = _with_one(xy) @ s.R_enu_cam.T / (plane * relative)[:, None]
-        covariance = self._covariances(xy, offset, relative, variance)
-        if s.shutter is not None:
-            steeper = (late @ s.plane_per_m[1:]) / plane
-            moved = late @ s.R_enu_cam[:, :2].T / (plane * relative)[:, None] - offset * steeper[:, None]
-            covariance = covariance + (moved[:, :, None] * moved[:, None]) * s.shutter.sigma_readout_s**2
-        longest = np.sqrt(CHI2_2 * np.maximum(np.linalg.eigvalsh(covariance[:, :2, :2])[:, 1], 0.0))
-        answered &= longest <= MAX_ELLIPSE_SHARE * self._height_m
-        by_pixel = self._by_pixel(uv, relative)
-        for found in (offset, covariance, by_pixel):
-            found[~answered] = np.nan
+        uv = np.asarray(uv_px, float)
+        clicks = self._found(uv)
+        offset, covariance, by_pixel = (np.full((len(uv), 3, *rest), np.nan) for rest in ((), (3,), (2,)))
+        answered = clicks.status == OK
+        if np.any(answered):
+            found = self._covariances(clicks)
+            answered &= self._is_certain(found)
+            offset[answered], covariance[answered] = clicks.offset_enu_m[answered], found[answered]
+            by_pixel[answered] = self._by_pixel(uv, 1.0 / clicks.relative)[answered]
         return Answers(offset, covariance, by_pixel, answered)
+
+    def _is_certain(self, covariance: Array) -> NDArray[np.bool_]:
+        """Return which positions' covariances (M, 3, 3) leave a place that is still an answer. (9.18)"""
+        longest = np.sqrt(CHI2_2 * np.maximum(np.linalg.eigvalsh(covariance[:, :2, :2])[:, 1], 0.0))
+        return np.asarray(longest <= MAX_ELLIPSE_SHARE * self._height_m, np.bool_)
 
     def _by_pixel(self, uv_px: Array, relative: Array) -> Array:
         """The displacement (M, 3, 2), east, north, up, of the answers of pixels (M, 2) for a pixel of u and of v.
@@ -237,104 +235,100 @@ class Locator:
         about = (rays / np.maximum(w, self._plane_floor)[..., None]) @ s.R_enu_cam.T
         return np.stack([about[:, 0] - about[:, 1], about[:, 2] - about[:, 3]], axis=-1)
 
-    def _covariances(self, xy: Array, offset: Array, relative: Array, variance: Array) -> Array:
-        """Each click's own covariance (M, 3, 3), as `_covariance` has it of one; `variance` (M,) is kriging's."""
-        count = len(xy)
-        by_cause = np.concatenate([_jacobian(offset, xy), -(offset / relative[:, None])[:, :, None]], axis=2)
-        by_depth = np.zeros((count, 1, COMMON_STATES + 1))
-        by_depth[:, 0, 6:COMMON_STATES] = _with_one(xy)[:, [2, 0, 1]]
-        by_depth[:, 0, COMMON_STATES] = 1.0 / relative
-        causes = np.zeros((count, COMMON_STATES + 1, COMMON_STATES + 1))
-        causes[:, :COMMON_STATES, :COMMON_STATES] = self.feature_set.common_cov
-        causes[:, COMMON_STATES, COMMON_STATES] = variance
-        out: Array = by_cause @ causes @ by_cause.transpose(0, 2, 1) + _curvature(by_cause, by_depth, causes)
-        return out
-
     def _refusal(self, status: Status) -> Refusal:
         s = self.feature_set
         return Refusal(status, s.frame, s.capture_unix_ns, s.vehicle)
 
-    def _located(self, uv_px: Array) -> _Located | Status:
-        """A click's, and of the newest click once: a pin asks for its answer and then for the parts of its error."""
+    def _click(self, uv_px: Array) -> _Clicks | Status:
+        """Find one, the newest once: a pin asks for its answer and then for the parts of its error."""
         key, newest = (float(uv_px[0]), float(uv_px[1])), self._newest
         if newest is None or newest[0] != key:
-            newest = self._newest = key, self._found(uv_px)
-        return newest[1]
+            newest = self._newest = key, self._found(uv_px[None])
+        found = newest[1]
+        return found if found.status[0] == OK else STATUSES[found.status[0]]
 
-    def _found(self, uv_px: Array) -> _Located | Status:
+    def _found(self, uv_px: Array) -> _Clicks:
+        """Find where pixels (M, 2) meet the ground."""
         s = self.feature_set
+        rays, valid = s.camera.unproject(uv_px)
+        status = np.where(valid, OK, np.where(s.camera.contains(uv_px), Status.OUTSIDE_CALIBRATION.code, OUTSIDE))
         if not s.is_ok:
-            return s.status
-        if not s.camera.contains(uv_px):
-            return Status.OUTSIDE
-        ray, valid = s.camera.unproject(uv_px)
-        if not valid:
-            return Status.OUTSIDE_CALIBRATION
-        if not self._has_ground:
-            return Status.POOR_FIT
-        xy, late = (found[0] for found in self._at_middle_row(ray[None, :2], uv_px[None, 1]))
-        plane = float(s.plane_per_m[0] + xy @ s.plane_per_m[1:])
-        outside = distance_outside(self._hull, xy)
-        method = s.depth_source.value
-        if outside > 0.0:
-            if s.depth_source is not DepthSource.PLANE and outside > self._max_outside:
-                return Status.ABOVE_HORIZON if plane <= self._plane_floor else Status.OUTSIDE
-            method = DepthSource.PLANE.value
-        if plane <= self._plane_floor:
-            return Status.ABOVE_HORIZON
-        if (known := self._measured(uv_px)) is not None:
-            r, variance, method = np.array([known[0] / plane - 1.0]), np.array([[(known[1] / plane) ** 2]]), known[2]
-        else:
-            r, variance = self._kriging.predict(xy[None])
-        relative = 1.0 + float(r[0])
-        if not relative > MIN_INVERSE_DEPTH_SIGMAS * math.sqrt(max(float(variance[0, 0]), 0.0)):
-            return Status.ABOVE_HORIZON
-        offset = s.R_enu_cam @ np.array([*xy, 1.0]) / (plane * relative)
-        steeper = float(late @ s.plane_per_m[1:]) / plane
-        by_readout = s.R_enu_cam[:, :2] @ late / (plane * relative) - offset * steeper
-        return _Located(xy, offset, 1.0 / relative, variance, method, by_readout)
+            status[:] = s.status.code
+        elif not self._has_ground:
+            status[valid] = Status.POOR_FIT.code
+        if not np.any(status == OK):
+            nothing = np.full((len(status), 3), np.nan)
+            never = np.zeros(len(status), bool)
+            return _Clicks(status, nothing[:, :2], nothing, nothing[:, 0], nothing[:, 0], nothing, never, never)
+        xy, late = self._at_middle_row(rays[:, :2], uv_px[:, 1])
+        plane = s.plane_per_m[0] + xy @ s.plane_per_m[1:]
+        outside = distances_outside(self._hull, xy)
+        r, variance = self._kriging.predict_each(xy)
+        is_measured = self._is_clicked(uv_px)
+        if s.clicked is None or not s.clicked.is_measured:
+            is_measured[:] = False
+        elif np.any(is_measured):
+            r[is_measured] = s.clicked.inverse_depth_per_m / plane[is_measured] - 1.0
+            variance[is_measured] = (s.clicked.sigma_per_m / plane[is_measured]) ** 2
+        relative = 1.0 + r
+        is_near = relative > MIN_INVERSE_DEPTH_SIGMAS * np.sqrt(np.maximum(variance, 0.0))
+        # Of several reasons the last one below is given.
+        is_open = status == OK
+        status[is_open & ~is_near] = ABOVE_HORIZON
+        if s.depth_source is not DepthSource.PLANE:
+            status[is_open & (outside > self._max_outside)] = OUTSIDE
+        status[is_open & (plane <= self._plane_floor)] = ABOVE_HORIZON
+        is_placed = status == OK
+        plane, relative = np.where(is_placed, plane, 1.0), np.where(is_placed, relative, 1.0)
+        w = (plane * relative)[:, None]
+        offset = _with_one(xy) @ s.R_enu_cam.T / w
+        steeper = (late @ s.plane_per_m[1:]) / plane
+        by_readout = late @ s.R_enu_cam[:, :2].T / w - offset * steeper[:, None]
+        return _Clicks(status, xy, offset, 1.0 / relative, variance, by_readout, outside > 0.0, is_measured)
 
-    def _measured(self, uv_px: Array) -> tuple[float, float, str] | None:
-        """Inverse depth, sigma (1/m) and method of the pixel that was measured, if that is the one."""
-        c = self.feature_set.clicked
-        if c is None or not c.is_measured or not self._is_clicked(uv_px):
-            return None
-        return c.inverse_depth_per_m, c.sigma_per_m, c.measured.value
+    def _method(self, click: _Clicks) -> Measured | DepthSource:
+        if click.is_measured[0]:
+            return Measured.MEASURED
+        return DepthSource.PLANE if click.is_beyond[0] else self.feature_set.depth_source
 
-    def _is_clicked(self, uv_px: Array) -> bool:
+    def _is_clicked(self, uv_px: Array) -> NDArray[np.bool_]:
+        """Return which of pixels (M, 2) are the one that was asked for."""
         c = self.feature_set.clicked
-        return c is not None and bool(np.abs(uv_px - (c.u_px, c.v_px)).max() < SAME_PX)
+        if c is None:
+            return np.zeros(len(uv_px), bool)
+        return np.asarray(np.abs(uv_px - (c.u_px, c.v_px)).max(axis=1) < SAME_PX, np.bool_)
 
     def _unmeasured(self, uv_px: Array) -> str:
         """Return why the pixel that was asked for was not measured; empty for any other, and if it was."""
         c = self.feature_set.clicked
-        return "" if c is None or c.is_measured or not self._is_clicked(uv_px) else c.measured.value
+        return "" if c is None or c.is_measured or not self._is_clicked(uv_px[None])[0] else c.measured.value
 
-    def _above_ground(self, located: _Located) -> tuple[float, float] | None:
+    def _above_ground(self, click: _Clicks) -> tuple[float, float] | None:
         """Height above the ground between the features at the same place, and its one sigma, of what was measured.
 
         (29.14)
         """
-        if located.method != Measured.MEASURED.value:
+        if not click.is_measured[0]:
             return None
-        s, below = self.feature_set, located.offset_enu_m.copy()
-        ground = located
+        s, below, ground = self.feature_set, click.offset_enu_m.copy(), click
         for _ in range(GROUND_STEPS):
             at = below @ s.R_enu_cam
-            xy = at[:2] / at[2]
-            plane = float(s.plane_per_m[0] + xy @ s.plane_per_m[1:])
-            if at[2] <= 0.0 or plane <= self._plane_floor:
+            xy = at[:, :2] / at[:, 2:]
+            plane = s.plane_per_m[0] + xy @ s.plane_per_m[1:]
+            if at[0, 2] <= 0.0 or plane[0] <= self._plane_floor:
                 return None
-            r, variance = self._kriging.predict(xy[None])
-            relative = 1.0 + float(r[0])
-            if relative <= 0.0:
+            r, variance = self._kriging.predict_each(xy)
+            relative = 1.0 + r
+            if relative[0] <= 0.0:
                 return None
-            met = s.R_enu_cam @ np.array([*xy, 1.0]) / (plane * relative)
-            ground = _Located(xy, met, 1.0 / relative, variance, s.depth_source.value)
+            met = _with_one(xy) @ s.R_enu_cam.T / (plane * relative)[:, None]
+            never, still = np.zeros(1, bool), np.zeros((1, 3))
+            ground = _Clicks(click.status, xy, met, 1.0 / relative, variance, still, never, never)
             # The ray meets the ground at another place than below the thing: the ground is level between both.
-            below = np.array([*located.offset_enu_m[:2], met[2]])
-        joint = self._covariance([located, ground])
-        height_m = float(located.offset_enu_m[2] - ground.offset_enu_m[2])
+            below = np.concatenate([click.offset_enu_m[:, :2], met[:, 2:]], axis=1)
+        both = zip(vars(click).values(), vars(ground).values(), strict=True)
+        joint = self._covariances(_Clicks(*(np.concatenate(pair) for pair in both)), 2)[0]
+        height_m = float(click.offset_enu_m[0, 2] - ground.offset_enu_m[0, 2])
         return height_m, math.sqrt(max(float(joint[2, 2] + joint[5, 5] - 2.0 * joint[2, 5]), 0.0))
 
     def _at_middle_row(self, xy: Array, v_px: Array) -> tuple[Array, Array]:
@@ -347,45 +341,40 @@ class Locator:
         share = np.asarray(row_share(v_px, s.camera.height_px))[:, None]
         for _ in range(SHUTTER_STEPS):
             plane = np.maximum(s.plane_per_m[0] + out @ s.plane_per_m[1:], self._plane_floor)
-            r, _ = self._kriging.predict_each(out)
-            moved = -share * s.shutter.image_velocity(out, plane * np.maximum(1.0 + r, 0.0))
+            w = plane * np.maximum(1.0 + self._kriging.values(out), 0.0)
+            moved = -share * s.shutter.image_velocity(out, w)
             out = xy + s.shutter.readout_s * moved
         return out, moved
 
-    def _covariance(self, clicks: list[_Located]) -> Array:
-        """Joint covariance (3 M, 3 M) of the clicks' positions."""
-        offset, xy = (
-            np.array([located.offset_enu_m for located in clicks]),
-            np.array([located.xy for located in clicks]),
-        )
-        J = _jacobian(offset, xy).reshape(-1, COMMON_STATES)
-        own = clicks[0].variance if len(clicks) == 1 else self._own_covariance(clicks, xy)
-        spread = np.zeros((3 * len(clicks), len(clicks)))
-        by_depth = np.zeros((len(clicks), COMMON_STATES + len(clicks)))
-        for i, click in enumerate(clicks):
-            spread[3 * i : 3 * i + 3, i] = -click.offset_enu_m * click.relative
-            by_depth[i, 6:COMMON_STATES] = [1.0, *click.xy]
-            by_depth[i, COMMON_STATES + i] = click.relative
-        causes = np.zeros((by_depth.shape[1], by_depth.shape[1]))
-        causes[:COMMON_STATES, :COMMON_STATES] = self.feature_set.common_cov
-        causes[COMMON_STATES:, COMMON_STATES:] = own
-        by_cause = np.concatenate([J, spread], axis=1)
-        out: Array = by_cause @ causes @ by_cause.T + _curvature(by_cause, by_depth, causes)
+    def _covariances(self, clicks: _Clicks, size: int = 1) -> Array:
+        """Joint covariances (M / size, 3 size, 3 size) of the positions of every `size` clicks after one another."""
+        groups = len(clicks.xy) // size, size
+        own = clicks.variance[:, None, None] if size == 1 else self._own_covariance(clicks, groups)
+        J = _jacobian(clicks.offset_enu_m, clicks.xy).reshape(-1, 3 * size, COMMON_STATES)
+        by_own = -(clicks.offset_enu_m * clicks.relative[:, None]).reshape(*groups, 3, 1) * np.eye(size)[:, None]
+        by_cause = np.concatenate([J, by_own.reshape(-1, 3 * size, size)], axis=2)
+        by_depth = np.zeros((*groups, COMMON_STATES + size))
+        by_depth[..., 6:COMMON_STATES] = _with_one(clicks.xy)[:, [2, 0, 1]].reshape(*groups, 3)
+        by_depth[..., COMMON_STATES:] = clicks.relative.reshape(*groups, 1) * np.eye(size)
+        causes = np.zeros((groups[0], COMMON_STATES + size, COMMON_STATES + size))
+        causes[:, :COMMON_STATES, :COMMON_STATES] = self.feature_set.common_cov
+        causes[:, COMMON_STATES:, COMMON_STATES:] = own
+        out: Array = by_cause @ causes @ by_cause.transpose(0, 2, 1) + _curvature(by_cause, by_depth, causes)
         if self.feature_set.shutter is not None:
-            moved = np.concatenate([click.by_readout for click in clicks]) * self.feature_set.shutter.sigma_readout_s
-            out = out + np.outer(moved, moved)
+            moved = clicks.by_readout.reshape(-1, 3 * size) * self.feature_set.shutter.sigma_readout_s
+            out = out + moved[:, :, None] * moved[:, None]
         return out
 
-    def _own_covariance(self, clicks: list[_Located], xy: Array) -> Array:
-        """Return the covariance (M, M) of several clicks' r: kriging's; a measured pixel shares nothing with it."""
-        own = self._kriging.predict(xy)[1]
-        measured = np.array([click.method == Measured.MEASURED.value for click in clicks])
-        own[measured, :] = own[:, measured] = 0.0
-        if measured.any():  # there is one measured pixel: however often it is clicked, it is the same error
-            own[np.ix_(measured, measured)] = max(
-                float(click.variance[0, 0]) for click in clicks if click.method == Measured.MEASURED.value
-            )
-        return own
+    def _own_covariance(self, clicks: _Clicks, groups: tuple[int, int]) -> Array:
+        """The covariance (G, N, N) of r in G groups of N clicks: kriging's; a measured pixel shares nothing with it.
+
+        There is one measured pixel: however often it is clicked, it is the same error.
+        """
+        own, measured = self._kriging.predict(clicks.xy.reshape(*groups, 2))[1], clicks.is_measured.reshape(groups)
+        one, other = measured[:, :, None], measured[:, None]
+        variance = clicks.variance.reshape(groups)
+        same = np.maximum(variance[:, :, None], variance[:, None])
+        return np.where(one & other, same, np.where(one | other, 0.0, own))
 
 
 def _curvature(by_cause: Array, by_depth: Array, causes: Array) -> Array:

@@ -10,7 +10,7 @@ from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial import ConvexHull
 
 from contract import kriging as of_kriging
-from contract.kriging import Kriging, convex_hull, distance_outside, hull_area, on_plane, stretch
+from contract.kriging import Kriging, convex_hull, distances_outside, hull_area, on_plane, stretch
 from contract.rotations import exp_so3
 
 Array = NDArray[np.float64]
@@ -174,7 +174,7 @@ def test_beyond_the_features_hills_are_extrapolated_as_badly_as_stated() -> None
         spread = float(np.std(r - flat @ np.linalg.lstsq(flat, r, rcond=None)[0]))
         kriging = Kriging(xy, r, np.full(80, sigma**2), BELOW, spread**2 / 0.3, spread)
         predicted, variance = kriging.predict_each(1.35 * xy)
-        beyond = np.array([distance_outside(kriging.hull, p) > 0.0 for p in 1.35 * xy])
+        beyond = np.array([distances_outside(kriging.hull, p[None])[0] > 0.0 for p in 1.35 * xy])
         z.append(((predicted - truth[1]) / np.sqrt(variance))[beyond])
     assert 0.8 < np.mean(np.abs(np.concatenate(z)) < 1.645) < 0.99
 
@@ -233,13 +233,13 @@ def test_the_hull_is_scipys(points: Array) -> None:
     if hull_area(hull) < 1e-4:
         return
     assert hull_area(hull) == pytest.approx(ConvexHull(points).volume, rel=1e-9)
-    assert all(distance_outside(hull, p) < 1e-9 for p in points)
+    assert all(distances_outside(hull, p[None])[0] < 1e-9 for p in points)
 
 
 def test_distance_to_a_square() -> None:
     square = convex_hull(np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.5, 0.5]]))
     assert len(square) == 4
-    assert distance_outside(square, np.array([0.5, 0.9])) == 0.0
-    assert distance_outside(square, np.array([1.5, 0.5])) == pytest.approx(0.5)
-    assert distance_outside(square, np.array([2.0, 2.0])) == pytest.approx(np.sqrt(2.0))
-    assert distance_outside(convex_hull(np.zeros((2, 2))), np.zeros(2)) == np.inf
+    assert distances_outside(square, np.array([[0.5, 0.9]]))[0] == 0.0
+    assert distances_outside(square, np.array([[1.5, 0.5]]))[0] == pytest.approx(0.5)
+    assert distances_outside(square, np.array([[2.0, 2.0]]))[0] == pytest.approx(np.sqrt(2.0))
+    assert distances_outside(convex_hull(np.zeros((2, 2))), np.zeros((1, 2)))[0] == np.inf

@@ -344,6 +344,9 @@ def test_a_measured_pixel_is_where_it_was_measured_and_bends_nothing_next_to_it(
     fix = answered(roof, uv)
     assert fix.method == "measured"
     np.testing.assert_allclose(fix.offset_enu_m, 0.9 * ground.offset_enu_m, rtol=1e-6)
+    together = Locator(roof).answers(np.array([uv + [12.0, 5.0], uv]))
+    np.testing.assert_allclose(together.offset_enu_m[1], fix.offset_enu_m, rtol=1e-12)
+    np.testing.assert_allclose(together.covariance_enu_m2[1], fix.covariance_enu_m2, rtol=1e-9)
     for step in ([0.6, 0.0], [0.0, -1.0], [12.0, 5.0]):
         one, other = answered(roof, uv + step), answered(world.feature_set, uv + step)
         assert one.method == "interpolated" and one.to_json() == other.to_json()
