@@ -1,4 +1,4 @@
-"""One table of everything that crosses the link: key, payload, quality of service, share of the link, place on a disk.
+"""One table of everything that crosses the link: key, quality of service, share of the link, place on a disk.
 
 `{vehicle}` is one chunk of a zenoh key. Publisher, recorders, readers and ground go through TOPICS: a new kind of
 message is a row here, its codec's row in `contract/wire/message.py` and a view (docs/architecture.md). A topic's
@@ -34,7 +34,7 @@ class Counted(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Topic:
-    """One key and what travels on it. `max_rate_hz` is a limit that the sender keeps, not a measured rate.
+    """One key and what travels on it. Its payload is a section of docs/wire-format.md.
 
     `encoding` is the message encoding of its channel in a recording, `schema` the name of its schema where that is
     JSON. `recorded`: how the aircraft's recording counts them; None where the aircraft records none.
@@ -43,8 +43,6 @@ class Topic:
     """
 
     template: str
-    payload: str
-    max_rate_hz: float
     qos: Qos
     encoding: str = ""
     schema: str = ""
@@ -78,71 +76,37 @@ LATEST_ONLY = Qos("BEST_EFFORT", "DROP", "DATA", express=True)
 # gives the answer the quality of its query.
 QUERY = Qos("RELIABLE", "BLOCK", "DATA", express=False)
 
-FEATURES = Topic(
-    "pc/{vehicle}/features",
-    "pointclick set, docs/wire-format.md",
-    30.0,
-    LATEST_ONLY,
-    encoding="pointclick",
-    recorded=Counted("set", "sets"),
-)
-
-# How the aircraft is, for people and for dashboards: small, once a second.
+FEATURES = Topic("pc/{vehicle}/features", LATEST_ONLY, "pointclick", recorded=Counted("set", "sets"))
+# How the aircraft is (10), for people and for dashboards: small, once a second.
 STATUS = Topic(
-    "pc/{vehicle}/status",
-    "JSON, docs/wire-format.md section 10",
-    1.0,
-    LATEST_ONLY,
-    encoding="json",
-    schema="pointclick.Status",
-    recorded=Counted("status", "statuses"),
-    share=0.25,
-    patience_s=0.8,
-)
-
-# Small images of keyframes, each in several packets; only what sets, status and replies leave of the bit rate.
+    "pc/{vehicle}/status", LATEST_ONLY,
+    "json", "pointclick.Status", Counted("status", "statuses"), share=0.25, patience_s=0.8,
+)  # fmt: skip
+# Small images of keyframes (11), each in several packets; only what sets, status and replies leave of the bit rate.
 PICTURE = Topic(
-    "pc/{vehicle}/picture",
-    "a piece of an image, docs/wire-format.md section 11",
-    100.0,
-    Qos("BEST_EFFORT", "DROP", "DATA_LOW", express=True),
-    encoding="pointclick picture",
-)
-
-# Where the things are that are followed: all tracks in one packet. The share is one track's twice a second from
+    "pc/{vehicle}/picture", Qos("BEST_EFFORT", "DROP", "DATA_LOW", express=True), "pointclick picture",
+)  # fmt: skip
+# Where the things are that are followed (14): all tracks in one packet. The share is one track's twice a second from
 # 12 kbit/s on, that of eight from 45.
 TRACKS = Topic(
-    "pc/{vehicle}/tracks",
-    "reports of tracks, docs/wire-format.md section 14",
-    2.0,
-    LATEST_ONLY,
-    encoding="pointclick tracks",
-    recorded=Counted("report of tracks", "tracks"),
-    share=0.2,
-    patience_s=0.5,
-)
-
-# What is hotter than the ground about it: all spots of a picture in one packet. The share is two full packets a second
-# from 47 kbit/s on.
+    "pc/{vehicle}/tracks", LATEST_ONLY,
+    "pointclick tracks", recorded=Counted("report of tracks", "tracks"), share=0.2, patience_s=0.5,
+)  # fmt: skip
+# What is hotter than the ground about it (15): all spots of a picture in one packet. The share is two full packets a
+# second from 47 kbit/s on.
 SPOTS = Topic(
-    "pc/{vehicle}/spots",
-    "spots of a picture, docs/wire-format.md section 15",
-    2.0,
-    LATEST_ONLY,
-    encoding="pointclick spots",
-    recorded=Counted("report of spots", "spots"),
-    share=0.1,
-    patience_s=0.5,
-)
+    "pc/{vehicle}/spots", LATEST_ONLY,
+    "pointclick spots", recorded=Counted("report of spots", "spots"), share=0.1, patience_s=0.5,
+)  # fmt: skip
 
 TOPICS: tuple[Topic, ...] = (FEATURES, STATUS, PICTURE, TRACKS, SPOTS)
 REPORTS = tuple(topic for topic in TOPICS if topic.share)
 
-# Queries alone, which begin and end tracks: a key of its own, so that rights can name it.
-FOLLOW = Topic("pc/{vehicle}/follow", "JSON, docs/wire-format.md section 14", 0.0, QUERY)
+# Queries alone (14), which begin and end tracks: a key of its own, so that rights can name it.
+FOLLOW = Topic("pc/{vehicle}/follow", QUERY)
 
 # A liveliness token, there as long as the aircraft is: who is there is known without a message of anybody's.
-ALIVE = Topic("pc/{vehicle}/alive", "none", 0.0, QUERY)
+ALIVE = Topic("pc/{vehicle}/alive", QUERY)
 
 # Of ground servers that share pins: pc/pins/<server>/<what>.
 PINS = "pc/pins"
@@ -150,7 +114,7 @@ PINS = "pc/pins"
 
 def of_vehicle(vehicle: str) -> str:
     """All keys of one vehicle, or of all with ANY_VEHICLE. Raises ValueError for a name no key can hold."""
-    return Topic("pc/{vehicle}/*", "any", 0.0, LATEST_ONLY).key(vehicle)
+    return Topic("pc/{vehicle}/*", LATEST_ONLY).key(vehicle)
 
 
 # Parameters of a query on FEATURES. None: the newest answerable set.

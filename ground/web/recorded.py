@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
 from contract.errors import InputError, LinkError
 from contract.feature_set import FeatureSet
 from contract.track import TrackRequest
+from contract.vehicle_status import VehicleStatus
+from contract.wire.message import STATUSES
 from ground.recorded_link_pictures import RecordedLinkPictures
 from ground.recording import Recording
 from ground.web.recorded_pictures import RecordedPictures
@@ -34,6 +37,7 @@ class RecordedSource:
         self.views = Views()
         for view in self.views:
             view.read(self._recording, self._recording.vehicles)
+        self._statuses = {vehicle: self._last_status(vehicle) for vehicle in self._recording.vehicles}
         self._kept = lru_cache(maxsize=KEPT_SETS)(self._read)
 
     def vehicles(self) -> list[str]:
@@ -83,8 +87,9 @@ class RecordedSource:
         """The state of a vehicle at the end of the recording."""
         rows = self._recording.rows(vehicle)
         newest = max(rows, key=lambda row: row[2])
-        status = self._pictures.status(vehicle)
-        return VehicleReport(vehicle, self._sessions[vehicle], newest[0], 0.0, None, None, None, status)
+        return VehicleReport(
+            vehicle, self._sessions[vehicle], newest[0], 0.0, None, None, None, self._statuses[vehicle]
+        )
 
     def unfollowed(self, vehicle: str) -> str:
         """Nothing can be followed in a recording; what was followed in flight is there."""
@@ -120,6 +125,13 @@ class RecordedSource:
             if found is not None:
                 return found.session
         raise InputError(f"recording {self.name}: no set of {vehicle} can be read")
+
+    def _last_status(self, vehicle: str) -> VehicleStatus | None:
+        """The last status of a vehicle, with the last error budget that any has; None without one."""
+        statuses = self._recording.reports(STATUSES, [vehicle])
+        shares = next((status.shares for status in reversed(statuses) if status.shares), None)
+        last = statuses[-1] if statuses else None
+        return last if last is None or shares is None else replace(last, shares=shares)
 
     def _read(self, vehicle: str, frame: int) -> FeatureSet | None:
         try:

@@ -1,4 +1,4 @@
-"""The pictures and statuses of a session's files, found once and read when asked for.
+"""The pictures of a session's files, found once and read when asked for.
 
 Pictures as `recording.pictures` writes them: channel `pc/<vehicle>/pictures`, each before its frame's event. A file
 with chunks has none here: its sets are read, its pictures not.
@@ -9,15 +9,12 @@ from __future__ import annotations
 import base64
 import binascii
 import json
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from contract import recording_format as names
-from contract.errors import WireError
 from contract.mcap_records import CHANNEL, MESSAGE, MESSAGE_HEAD, Data, mapped, read_channel, records
-from contract.topics import STATUS
-from contract.vehicle_status import VehicleStatus, decode_status
 from ground.web.source import Picture
 
 # Signatures of what a browser shows; what a recording calls a picture and is none is not sent to one.
@@ -35,7 +32,6 @@ class _Place:
 class _Vehicle:
     by_frame: dict[int, _Place] = field(default_factory=dict)
     by_stamp_ns: dict[int, _Place] = field(default_factory=dict)
-    statuses: list[tuple[int, int, int]] = field(default_factory=list)  # file, start, length
 
 
 class RecordedPictures:
@@ -44,7 +40,6 @@ class RecordedPictures:
     def __init__(self, path: Path) -> None:
         self._data: list[Data] = []
         self._vehicles: dict[str, _Vehicle] = {}
-        self._last: dict[str, VehicleStatus | None] = {}
         for file, part in enumerate(names.session_files(path)):
             data = mapped(part)
             self._data.append(data)
@@ -75,24 +70,6 @@ class RecordedPictures:
         media_type = media_type_of(encoded)
         return None if media_type is None else Picture(encoded, media_type)
 
-    def status(self, vehicle: str) -> VehicleStatus | None:
-        """The last status of a vehicle that can be read, with the last error budget that any of them has."""
-        if vehicle not in self._last:
-            self._last[vehicle] = self._last_status(vehicle)
-        return self._last[vehicle]
-
-    def _last_status(self, vehicle: str) -> VehicleStatus | None:
-        known, last = self._vehicles.get(vehicle), None
-        for file, start, length in reversed([] if known is None else known.statuses):
-            try:
-                status = decode_status(bytes(self._data[file][start : start + length]))
-            except WireError:
-                continue
-            last = last or status
-            if status.shares:
-                return replace(last, shares=status.shares)
-        return last
-
     def _index(self, file: int, data: Data) -> None:
         channels: dict[int, tuple[str, str]] = {}  # kind, vehicle
         for opcode, start, length in records(data, lambda _: None):
@@ -113,8 +90,6 @@ class RecordedPictures:
         data = self._data[file]
         if kind == "pictures":
             known.by_stamp_ns[log_ns] = _Place(file, start, length)
-        elif kind == "status":
-            known.statuses.append((file, start, length))
         else:
             event = _object(bytes(data[start : start + length]))
             frame, stamp_ns = event.get("frame"), event.get("stamp_ns")
@@ -135,7 +110,6 @@ def _kind(topic: str) -> tuple[str, str] | None:
     for kind, template in (
         ("pictures", names.PICTURES),
         ("frames", names.FRAMES),
-        ("status", STATUS.template),
     ):
         before, after = template.split("{vehicle}")
         if topic.startswith(before) and topic.endswith(after) and len(topic) > len(before) + len(after):
