@@ -20,6 +20,7 @@ from onboard.camera.factory import open_device, second_section
 from onboard.camera.helper_launch import helper_launch, unable
 from onboard.camera.playback import PREFIX
 from onboard.camera.v4l2_device import V4l2Device
+from onboard.commands.checks import CHECKS
 from onboard.config.files import config_files, load_camera, load_config_files, load_second_camera
 from onboard.config.schema import CameraConfig, Config
 from onboard.events.session_clock import SessionClock
@@ -36,15 +37,21 @@ RECEIVED_IN_FLIGHT = {
 
 @dataclass(frozen=True)
 class Named:
-    """Something that the configuration names: which key names what, whether it is there, and what was seen."""
+    """Something that the configuration names: which key names what, whether it is there, and what was seen.
+
+    `check` is the one of CHECKS whose cure helps where it is missing; empty where the text has its own.
+    """
 
     key: str
     value: str
     is_there: bool
     text: str
+    check: str = ""
 
     def __str__(self) -> str:
-        return without_secrets(f"{self.key} {self.value}: {'' if self.is_there else 'MISSING: '}{self.text}")
+        words = self.text if self.is_there else f"MISSING: {self.text}"
+        cure = f": {CHECKS[self.check].cure}" if self.check and not self.is_there else ""
+        return without_secrets(f"{self.key} {self.value}: {words}{cure}")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -107,6 +114,7 @@ def _second(config: Config) -> list[Named]:
 
 def _camera(section: str, config: CameraConfig, camera: Camera) -> Named:
     key, device = f"{section}.device", config.device
+    check = "camera" if section == "camera" else "thermal camera"
     if device.startswith(PREFIX):
         if not Path(device.removeprefix(PREFIX)).exists():
             return Named(key, device, False, "no such file or folder")
@@ -119,13 +127,13 @@ def _camera(section: str, config: CameraConfig, camera: Camera) -> Named:
     try:
         opened = V4l2Device(device)
     except OSError as error:
-        return Named(key, device, False, error.strerror or str(error))
+        return Named(key, device, False, error.strerror or str(error), check)
     try:
         card = opened.card()
     finally:
         opened.close()
     if not card.can_capture:
-        return Named(key, device, False, f"{card.card} takes no pictures: another /dev/video number?")
+        return Named(key, device, False, f"{card.card} takes no pictures", check)
     return Named(key, device, True, card.card)
 
 
@@ -140,9 +148,9 @@ def _telemetry(url: str) -> Named:
     try:
         is_device = stat.S_ISCHR(Path(path).stat().st_mode)
     except OSError as error:
-        return Named(key, url, False, error.strerror or str(error))
+        return Named(key, url, False, error.strerror or str(error), "telemetry")
     if not is_device:
-        return Named(key, url, False, "is no serial device")
+        return Named(key, url, False, "is no serial device", "telemetry")
     if not os.access(path, os.R_OK | os.W_OK):
-        return Named(key, url, False, "no permission: the user must be in the group 'dialout'")
+        return Named(key, url, False, "no permission", "permission")
     return Named(key, url, True, "is there; whether an autopilot sends cannot be known before `run`")

@@ -20,7 +20,7 @@ from contract.supervised_thread import in_a_line
 from contract.vehicle_status import VehicleStatus
 from onboard.camera.factory import open_camera, open_second_camera
 from onboard.camera.helper_launch import RTSP, decoders_text
-from onboard.commands.line_meaning import MEANING
+from onboard.commands.checks import CHECKS
 from onboard.commands.preflight import Line, Surroundings, diagnose
 from onboard.config.files import load_camera, load_config_files, load_second_camera, state_folder
 from onboard.config.schema import Config
@@ -69,7 +69,7 @@ def text(lines: list[Line], coloured: bool, explained: bool = False) -> str:
         if coloured:
             mark = f"{GREEN if line.is_good else RED}{mark}{PLAIN}"
         out.append(f"{mark} {line.name:<{width}}{line.text}")
-        out += [f"    {' ' * width}{sentence}" for sentence in MEANING[line.name]] if explained else []
+        out += [f"    {' ' * width}{sentence}" for sentence in CHECKS[line.name].sentences] if explained else []
     return "\n".join(out)
 
 

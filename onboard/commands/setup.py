@@ -27,6 +27,7 @@ from onboard.camera.v4l2_device import V4l2Device
 from onboard.commands import doctor
 from onboard.commands.calibrate import write
 from onboard.commands.cameras import stable_name
+from onboard.commands.checks import CHECKS
 from onboard.commands.questions import Terminal
 from onboard.commands.replay import recorded_flight
 from onboard.commands.telemetry_radios import OTHER_RADIO, RADIOS, ours_of, radio_bit_rate
@@ -307,16 +308,14 @@ def _missing(given: str | None, terminal: Terminal | None) -> str:
         return given
     if terminal is None:
         raise ConfigError("setup: no autopilot found; name its line: --telemetry serial:/dev/ttyAMA0:921600")
-    terminal.show("Autopilot: none found. Is it powered, and MAVLink 2 on its port?")
+    terminal.show(f"Autopilot: none found: {CHECKS['telemetry'].cure}")
     return terminal.ask("telemetry.url", _not_empty, "udpin:0.0.0.0:14550")
 
 
 def _note_missing(url: str, system: int, received: list[FoundAutopilot], left: list[str]) -> None:
     others = ", but " + ", ".join(f"{found.system} {found.kind}" for found in received) if received else ""
     which = f"of system {system} " if system else ""
-    left.append(
-        f"nothing {which}was received on {url}{others}: look at the autopilot's port and baud rate (docs/telemetry.md)"
-    )
+    left.append(f"nothing {which}was received on {url}{others}: {CHECKS['telemetry'].cure}")
     if not system:
         left.append("telemetry.system is open: set it to the autopilot's number, so that no other is taken for it")
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 from hypothesis import given
 
 from onboard.commands import doctor
-from onboard.commands.line_meaning import MEANING
+from onboard.commands.checks import CHECKS
 from onboard.commands.preflight import Surroundings, diagnose
 from onboard.config.schema import Config, ThermalConfig
 from onboard.events.source import SourceStatus, State
@@ -48,13 +48,13 @@ def test_every_line_is_explained_and_no_name_runs_into_its_text() -> None:
     config = RADIO.model_copy(update={"thermal": ThermalConfig(enabled=True)})
     report = judged(thermal_camera=SourceStatus(State.OK))
     lines = diagnose(config, report, replace(AROUND, decoders="H264 by avdec_h264"))
-    assert {line.name for line in lines} == set(MEANING)
+    assert {line.name for line in lines} == set(CHECKS) - {"permission"}
     for explained in (False, True):
         messages = doctor.text(lines, False, explained).splitlines()
         assert len(messages) == len(lines) * (3 if explained else 1)
     for line, words in zip(lines, doctor.text(lines, False).splitlines(), strict=True):
         assert f" {line.name} " in words
-    assert all("If bad" in meaning[1] for meaning in MEANING.values())
+    assert all(check.looks_at.endswith(".") and check.cure.endswith(".") for check in CHECKS.values())
 
 
 def test_a_budget_is_passed_on_as_it_is() -> None:
