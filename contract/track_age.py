@@ -48,13 +48,18 @@ def as_of(report: TrackReport, age_s: float, silent_s: float, why: Unseen) -> Tr
     return replace(aged, place=_moved(report.place, report.course, report.unseen_s, age_s))
 
 
+def unforeseen_m2(speed_m_s: float, since_s: float) -> float:
+    """Variance, either way, of where a thing of that speed is `since_s` after it was seen, for all that it may do."""
+    return 0.25 * (ACCELERATION_M_S2 + TURN_RAD_S * speed_m_s) ** 2 * since_s**4
+
+
 def _moved(place: Place, course: Course | None, unseen_s: float, age_s: float) -> Place:
     """(24.19), from `unseen_s` to `unseen_s` + `age_s` after the last look."""
     velocity, cov = _velocity(course)
     lat, lon, _ = LocalFrame(place.lat_deg, place.lon_deg, 0.0).to_geodetic([*(velocity * age_s), 0.0])
-    acceleration = ACCELERATION_M_S2 + TURN_RAD_S * float(np.hypot(*velocity))
-    until_s = unseen_s + age_s
-    grown = cov * (until_s**2 - unseen_s**2) + 0.25 * acceleration**2 * (until_s**4 - unseen_s**4) * np.eye(2)
+    speed, until_s = float(np.hypot(*velocity)), unseen_s + age_s
+    unforeseen = unforeseen_m2(speed, until_s) - unforeseen_m2(speed, unseen_s)
+    grown = cov * (until_s**2 - unseen_s**2) + unforeseen * np.eye(2)
     ellipse = Ellipse.from_covariance(place.ellipse.covariance_en_m2 + grown)
     return replace(place, lat_deg=float(lat), lon_deg=float(lon), ellipse=ellipse)
 

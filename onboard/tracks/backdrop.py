@@ -64,8 +64,16 @@ def earlier(pictures: Pictures, seen: Seen) -> list[Seen]:
     return out
 
 
-def difference(pictures: Pictures, seen: Seen, patch: Patch) -> Image | None:
-    """Return how surely each pixel of a patch (S, S) shows something that was not there before, 0 to 1. (24.5)
+@dataclass(frozen=True, eq=False)
+class Change:
+    """How surely each pixel of a patch (S, S) shows something that was not there before, 0 to 1; and what was there."""
+
+    surely: Image
+    behind: Image
+
+
+def difference(pictures: Pictures, seen: Seen, patch: Patch) -> Change | None:
+    """Return what has changed in a patch. (24.5)
 
     None without at least two earlier pictures of the same ground; 0 where pictures do not reach.
     """
@@ -81,7 +89,7 @@ def difference(pictures: Pictures, seen: Seen, patch: Patch) -> Image | None:
     noise = max(1.48 * float(np.partition(off, off.size // 2, axis=None)[off.size // 2]), LEAST_NOISE)
     dx, dy = cv2.Sobel(behind, cv2.CV_32F, 1, 0, scale=0.125), cv2.Sobel(behind, cv2.CV_32F, 0, 1, scale=0.125)
     sigma = np.sqrt(noise * noise + MISFIT_PX**2 * (dx * dx + dy * dy))
-    return np.clip((off / sigma - CLEAR) / (CERTAIN - CLEAR), 0.0, 1.0)
+    return Change(np.clip((off / sigma - CLEAR) / (CERTAIN - CLEAR), 0.0, 1.0), behind)
 
 
 def _aligned(pictures: Pictures, seen: Seen, patch: Patch) -> tuple[Image, NDArray[np.bool_] | None]:

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.track import Unseen
-from contract.track_age import LOST_AFTER_S
+from contract.track_age import ACCELERATION_M_S2, LOST_AFTER_S, TURN_RAD_S
 from onboard.geometry.plane_homography import move
-from onboard.tracks.backdrop import Patch, cut, difference
+from onboard.tracks.backdrop import AGES_S, Change, Patch, cut, difference
 from onboard.tracks.ground_steps import Pictures, Seen
 
 Array = NDArray[np.float64]
@@ -25,11 +25,12 @@ Image = NDArray[np.float32]
 LEAST_SIZE_PX, USUAL_SIZE_PX, MOST_SIZE_PX = 3.0, 9.0, 48.0
 MOST_REACH_PX = 40  # that a thing is looked for about where it should be
 FASTEST_M_S = 25.0
-# One sigma of a thing's acceleration: at rest, and for each m/s that it has: who is fast turns as soon as who is slow.
-ACCELERATION_M_S2, TURN_RAD_S = 0.6, 0.15
 USUAL_M_PX = 0.15  # on the ground, where no set gives a better one
 CLICK_SIGMA_PX, CLICK_REACH_PX = 1.5, 10.0
-SURE_DIFFERENCE, SURE_LIKENESS, LEAST_LIKENESS = 0.35, 0.8, 0.3
+SURE_DIFFERENCE, SURE_LIKENESS, LEAST_LIKENESS = 0.35, 0.8, 0.5
+CHANGED = 0.3  # how surely a pixel must differ to belong to a region that does
+AGAIN_S, LEAST_AGAIN = 0.3, 0.65  # unseen for so long it must look so much as it did: more places are compared
+STOOD_S = 0.5  # at one place, after which what changes there is first of all the ground that it uncovers
 # How near to the picture's edge its middle is still looked for: a share of its size, and px.
 EDGE_SHARE, LEAST_EDGE_PX = 0.5, 3.0
 OLD_S = 1.0  # age of the older of the two looks that are remembered
@@ -87,14 +88,15 @@ class Follower:
         self._seen = clicked
         self._size = USUAL_SIZE_PX
         self._uv = np.asarray(uv_px, float)
-        self._find_size()
+        self._is_size_known = self._find_size()
+        self._last_seen_ns = clicked.stamp_ns
+        self._moved_ns = clicked.stamp_ns - (0 if self._is_size_known else round(1e9 * STOOD_S))
         fastest = FASTEST_M_S / 2.0 / self._m_px
         self._velocity = np.zeros(2)  # against the ground, px/s
         self._cov = np.diag([CLICK_SIGMA_PX**2] * 2 + [fastest**2] * 2)
         self._looks: list[_Look] = []
-        self._rest: Array | None = None  # where it is if it has stood since it was last seen to move
-        self._last_seen_ns = clicked.stamp_ns
-        self._rest = self._uv.copy()
+        self._rest = self._uv.copy()  # where it is if it has stood since it was last seen to move
+        self._stood, self._stood_ns = self._uv.copy(), clicked.stamp_ns if self._stands() else 0  # when it stood last
         self._remember()
 
     @property
@@ -140,18 +142,27 @@ class Follower:
         half = self._half()
         patch = cut(seen, self._uv, reach + half + 6)
         changed = difference(self._pictures, seen, patch)
-        found = self._best(patch, changed, reach, half)
+        is_again = self.unseen_s(seen) > AGAIN_S
+        if changed is not None and (self._stands() or is_again) and seen.stamp_ns - self._stood_ns < AGES_S[-1] * 1e9:
+            changed = replace(changed, surely=self._without_uncovered(changed.surely, self._stood - patch.corner))
+        found = self._best(patch, changed, reach, half, LEAST_AGAIN if is_again else LEAST_LIKENESS)
         if found is None:
             return self._unseen(Unseen.HIDDEN)
         uv, sigma = found
         is_still = uv is self._rest
         self._update(uv, sigma)
         if not is_still:
-            self._rest = self._uv.copy()
+            self._rest, self._moved_ns = self._uv.copy(), seen.stamp_ns
         self._last_seen_ns = seen.stamp_ns
+        if self._stands():
+            self._stood, self._stood_ns = self._rest.copy(), seen.stamp_ns
         if sigma < MERGED_SHARE * self._size:
             self._remember()
         return Observation(seen, uv, sigma, self._size)
+
+    def _stands(self) -> bool:
+        """Return whether it has stood for a while, as far as it was seen."""
+        return self._last_seen_ns - self._moved_ns >= STOOD_S * 1e9
 
     def _unseen(self, unseen: Unseen) -> Observation:
         sigma = float(np.sqrt(0.5 * np.trace(self._cov[:2, :2])))
@@ -161,8 +172,7 @@ class Follower:
         """(24.6): with the ground, and on with its own velocity."""
         near = move(H, self._uv + np.array([[0.0, 0.0], [0.5, 0.0], [-0.5, 0.0], [0.0, 0.5], [0.0, -0.5]]))
         J = np.stack([near[1] - near[2], near[3] - near[4]], axis=1)
-        if self._rest is not None:
-            self._rest = move(H, self._rest[None])[0]
+        self._rest, self._stood = move(H, np.stack([self._rest, self._stood]))
         self._velocity = J @ self._velocity
         self._uv = near[0] + self._velocity * dt
         q = (ACCELERATION_M_S2 / self._m_px + TURN_RAD_S * float(np.hypot(*self._velocity))) ** 2
@@ -191,13 +201,13 @@ class Follower:
     def _half(self) -> int:
         return int(np.clip(np.ceil(0.75 * self._size), 3, 30))
 
-    def _best(self, patch: Patch, changed: Image | None, reach: int, half: int) -> tuple[Array, float] | None:
-        """(24.7): the likeliest place in the picture and its one sigma; None if it is seen nowhere."""
+    def _best(
+        self, patch: Patch, changed: Change | None, reach: int, half: int, least: float
+    ) -> tuple[Array, float] | None:
+        """(24.7): the likeliest place in the picture and its one sigma; None if none looks like it by `least`."""
         middle = (patch.image.shape[0] - 1) // 2
-        search = patch.image[
-            middle - reach - half : middle + reach + half + 1, middle - reach - half : middle + reach + half + 1
-        ]
-        likeness = self._likeness(search, half)
+        window = slice(middle - reach - half, middle + reach + half + 1)
+        likeness = self._likeness(patch.image[window, window], half)
         steps = np.arange(-reach, reach + 1, dtype=float)
         place = np.stack(np.meshgrid(steps, steps), axis=-1) + patch.corner + middle
         off = place - self._uv
@@ -209,30 +219,45 @@ class Follower:
             score[((place < inner) | (place > (width - 1.0 - inner, height - 1.0 - inner))).any(axis=-1)] = -np.inf
         here = None
         if changed is not None:
-            cover = cv2.GaussianBlur(changed, (0, 0), max(0.3 * self._size, 0.8))
+            cover = cv2.GaussianBlur(changed.surely, (0, 0), max(0.3 * self._size, 0.8))
             here = np.clip(
                 1.6 * cover[middle - reach : middle + reach + 1, middle - reach : middle + reach + 1], 0.0, 1.0
             )
-            score = score + here
+            # Where the ground behind looks more like the thing than the picture does, it has gone from there.
+            came = likeness > self._likeness(changed.behind[window, window], half)
+            score = score + np.where(came, here, 0.0)
         j, i = np.unravel_index(int(np.argmax(score)), score.shape)
-        like, differs = float(likeness[j, i]), 0.0 if here is None else float(here[j, i])
+        like, differs = float(likeness[j, i]), 0.0 if here is None else float(here[j, i] * came[j, i])
         if here is not None and (still := self._still(likeness, here, place[0, 0], like)) is not None:
             return still, STILL_SIGMA_PX
-        if not (like >= SURE_LIKENESS or (differs >= SURE_DIFFERENCE and like >= LEAST_LIKENESS)):
+        if not (like >= SURE_LIKENESS or (differs >= SURE_DIFFERENCE and like >= least)):
             return None
         matched, sigma = place[j, i] + _peak(likeness, int(i), int(j)), 0.3 + 2.0 * (1.0 - like)
         if changed is None or differs < SURE_DIFFERENCE:
             return matched, sigma
-        centre, spread = self._centred(changed, np.array([i, j]) - reach + middle, patch)
+        if not self._is_size_known and not self._measured(changed.surely, np.array([i, j]) - reach + middle):
+            return matched, sigma
+        centre, spread = self._centred(changed.surely, np.array([i, j]) - reach + middle, patch)
         if spread >= MERGED_SHARE * self._size:
             return matched, spread
         share = sigma**2 / (sigma**2 + spread**2)
         return matched + share * (centre - matched), sigma * spread / float(np.hypot(sigma, spread))
 
+    def _without_uncovered(self, surely: Image, at: Array) -> Image:
+        """What has changed, without the part about `at`, where the thing stood: as it leaves it uncovers ground, of
+        which nothing shows how it looked before. (24.20)
+        """
+        count, labels = cv2.connectedComponents((surely > CHANGED).astype(np.uint8))
+        near = int(np.ceil(0.5 * self._size)) + 1
+        column, row = (int(n) for n in np.rint(at))
+        about = labels[max(row - near, 0) : row + near + 1, max(column - near, 0) : column + near + 1]
+        touched = np.zeros(count, bool)
+        touched[about] = True
+        touched[0] = False
+        return np.where(touched[labels], np.float32(0.0), surely)
+
     def _still(self, likeness: Image, here: Image, first: Array, best: float) -> Array | None:
         """(24.9): where it stood, if nothing there has changed and it looks no better elsewhere; None if it moves."""
-        if self._rest is None:
-            return None
         i, j = (int(n) for n in np.rint(self._rest - first))
         if not (0 <= j < likeness.shape[0] and 0 <= i < likeness.shape[1]):
             return None
@@ -276,6 +301,18 @@ class Follower:
         self._size += 0.1 * (float(np.clip(seen_px, LEAST_SIZE_PX, MOST_SIZE_PX)) - self._size)
         return centre + patch.corner, SPREAD * self._size * (1.0 + self._size / LARGE_PX)
 
+    def _measured(self, changed: Image, at: Array) -> bool:
+        """Learn the size of a thing that stood when it was clicked from what changes as it leaves; return whether it is
+        known. Until then that is no measure of where it is: it is the ground that it uncovers, too.
+        """
+        rows, columns = np.mgrid[: changed.shape[0], : changed.shape[1]]
+        wide = np.maximum(np.abs(rows - at[1]), np.abs(columns - at[0])) <= max(1.3 * self._size, 4.0)
+        seen_px = float(np.clip(1.15 * np.sqrt((changed * wide).sum()), LEAST_SIZE_PX, MOST_SIZE_PX))
+        gone_px = float(np.hypot(*(self._uv - self._stood)))
+        self._is_size_known = seen_px <= min(MERGED * self._size, gone_px)
+        self._size += 0.1 * (seen_px - self._size)
+        return self._is_size_known
+
     def _remember(self) -> None:
         """Keep how it looks now, next to how it looked OLD_S ago."""
         half = self._half()
@@ -291,13 +328,13 @@ class Follower:
         else:
             self._looks = [self._looks[0], new]
 
-    def _find_size(self) -> None:
-        """Find its middle and size from what differs about the click, if the thing has been moving."""
+    def _find_size(self) -> bool:
+        """Find its middle and size from what differs about the click, if the thing has been moving; return whether."""
         patch = cut(self._seen, self._uv, int(MOST_SIZE_PX))
         changed = difference(self._pictures, self._seen, patch)
         if changed is None:
-            return
-        sure = cv2.morphologyEx((changed > 0.3).astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
+            return False
+        sure = cv2.morphologyEx((changed.surely > CHANGED).astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
         count, _, stats, middles = cv2.connectedComponentsWithStats(sure)
         for k in sorted(range(1, count), key=lambda k: -stats[k, cv2.CC_STAT_AREA]):
             left, top, width, height, area = stats[k]
@@ -307,7 +344,8 @@ class Follower:
                 self._size = float(np.clip(1.15 * np.sqrt(area), LEAST_SIZE_PX, MOST_SIZE_PX))
                 if np.hypot(*(middles[k] - uv)) <= max(CLICK_REACH_PX, 0.5 * self._size):
                     self._uv = middles[k] + patch.corner
-                return
+                return True
+        return False
 
 
 def _peak(values: Image, i: int, j: int) -> Array:

@@ -10,7 +10,7 @@ from contract.feature_set import Status
 from contract.geodesy import LocalFrame
 from contract.locate import MAX_ELLIPSE_SHARE, Locator
 from contract.track import TrackReport, TrackState
-from contract.track_age import LOST_AFTER_S
+from contract.track_age import LOST_AFTER_S, unforeseen_m2
 from onboard.geometry.plane_homography import move
 from onboard.tracks.follower import Follower, Observation
 from onboard.tracks.ground_steps import Pictures, Seen
@@ -156,6 +156,9 @@ class Track:
                 moved = np.array([*(motion.velocity_m_s * dt), 0.0])
                 lat, lon, _ = (float(c) for c in LocalFrame(lat, lon, 0.0).to_geodetic(moved))
             covariance = covariance + self._filter.ahead(dt)
+            if self.state is not TrackState.FOLLOWED:
+                speed = 0.0 if motion is None else motion.speed_m_s
+                covariance = covariance + unforeseen_m2(speed, self.follower.unseen_s(self._seen)) * np.eye(2)
         ellipse = Ellipse.from_covariance(covariance)
         if not ellipse.semi_major_m <= MAX_ELLIPSE_SHARE * max(abs(float(fix.offset_enu_m[2])), 1.0):
             self._status = Status.UNCERTAIN

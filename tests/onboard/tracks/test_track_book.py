@@ -12,14 +12,20 @@ from contract.answer import CHI2_2
 from contract.feature_set import Status
 from contract.track import MOST_TRACKS, TrackReport, TrackState, Unseen
 from onboard.tracks.track_book import REPORT_LOST_S, TrackBook
-from tests.onboard.tracks.flat_world import M_PX, PLACE, RATE_HZ, SESSION, Thing, World, at
+from tests.onboard.tracks.flat_world import M_PX, PLACE, RATE_HZ, SESSION, Place, Thing, World, at
 from tests.rest_long import rest_long
 
 Watch = Callable[[int, list[TrackReport]], None]
 
 
 def fly(
-    world: World, pictures: range, clicks: dict[int, Thing], *, clicked: int, asked: int | None = None
+    world: World,
+    pictures: range,
+    clicks: dict[int, Thing],
+    *,
+    clicked: int,
+    asked: int | None = None,
+    off_px: tuple[float, float] = (0.7, -0.6),
 ) -> tuple[TrackBook, dict[int, dict[int, TrackReport]]]:
     """Through the pictures; each thing is clicked in picture `clicked`, and asked for after picture `asked`."""
     book, reported = TrackBook("uav-1"), {number: dict[int, TrackReport]() for number in clicks}
@@ -27,7 +33,7 @@ def fly(
         book.picture(world.frame(number), world.its_set(number))
         if number == (clicked if asked is None else asked):
             for track, thing in clicks.items():
-                u, v = world.pixel(thing, clicked) + np.array([0.7, -0.6])
+                u, v = world.pixel(thing, clicked) + off_px
                 assert book.start(track, (float(u), float(v)), clicked)
         for report in book.reports():
             reported[report.number][number] = report
@@ -90,6 +96,35 @@ def test_what_stops_comes_to_rest_and_what_starts_moves_again() -> None:
     moving = {n: r.course.is_moving for n, r in reported[1].items() if r.course is not None}
     assert moving[38] and not moving[85] and moving[130]
     assert off_px(world, walker, reported[1]) < 4.0
+
+
+def drives_off(from_s: float, course: float) -> Place:
+    """Parked, and from then on at 2 m/s2 up to 6 m/s."""
+
+    def place(t: float) -> tuple[float, float]:
+        gone = max(t - from_s, 0.0)
+        way = min(gone, 3.0) ** 2 + 6.0 * max(gone - 3.0, 0.0) - 6.0
+        return way * math.sin(course), way * math.cos(course)
+
+    return place
+
+
+@pytest.mark.parametrize(
+    ("grey", "seed"), rest_long([(190.0, 0), (60.0, 0), (60.0, 1), (190.0, 1), (190.0, 2), (60.0, 2)])
+)
+def test_a_parked_car_that_drives_off_is_followed_or_lost_and_never_left_standing(grey: float, seed: int) -> None:
+    course, angle = np.random.default_rng([seed, 5]).uniform(0.0, 2.0 * math.pi, 2)
+    car = Thing(drives_off(3.5, course), 4.4, grey)
+    world = World((car,), seed=seed)
+    _, reported = fly(world, range(75), {1: car}, clicked=15, off_px=(2.0 * math.cos(angle), 2.0 * math.sin(angle)))
+    for n, report in reported[1].items():
+        if report.place is None:
+            continue
+        off = PLACE.to_enu(report.place.lat_deg, report.place.lon_deg, 100.0)[:2] - car.place(n / RATE_HZ) - [0.8, -0.5]
+        assert np.hypot(*off) < 3.0 * report.place.ellipse.semi_major_m
+        if n > 55 and report.state is TrackState.FOLLOWED:
+            assert "at rest" not in report.course_text and np.hypot(*off) < 3.0
+    assert sum(report.state is TrackState.FOLLOWED for n, report in reported[1].items() if n < 36) > 14
 
 
 def test_a_click_that_is_a_second_old_is_followed_from_its_picture_on() -> None:
