@@ -118,6 +118,8 @@ def test_a_session_recorded_with_its_pictures_replays_to_the_same_bytes(
 ) -> None:
     parts = sorted(session.glob("*.mcap"))
     assert len(parts) >= 2
+    for named in ([session], parts[::-1], parts[:1]):  # whatever names it, the same is replayed
+        assert RecordedFlight.open(named).paths == parts
     sets = list(RecordedFlight.open([first(session)]).sets())
     assert {decode(payload).session for payload in sets} == {SESSION}
     assert len(sets) > 30 and sum(decode(payload).is_ok for payload in sets) > 20
@@ -125,8 +127,6 @@ def test_a_session_recorded_with_its_pictures_replays_to_the_same_bytes(
     out = tmp_path / "again.mcap"
     assert as_recorded(capsys, str(first(session)), "--record", str(out)) == expected
     assert list(RecordedFlight.open([out]).sets()) == sets  # and recorded once more, the same again
-    assert as_recorded(capsys, str(session)) == expected
-    assert as_recorded(capsys, *map(str, reversed(parts))) == expected
     assert as_recorded(capsys, str(out)) == expected
 
 
