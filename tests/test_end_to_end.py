@@ -29,6 +29,7 @@ from simulation.terrain import TerrainSpec
 from simulation.truth import Truth
 from tests.installed import share
 from tests.onboard.link.ports import free_endpoint
+from tests.rest_long import rest_long
 from tests.scenarios.flights import CHI2_90, CHI2_99
 from tests.scenarios.flights import simulated as session_of
 from tests.waiting import PATIENCE_S
@@ -115,7 +116,8 @@ def batch(clicks: Path, recording: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in done.stdout.splitlines()]
 
 
-@pytest.mark.parametrize(("sensors", "bound_m"), [("seed", 6.0), ("full", 3.0)])
+# With the seed's sensors alone also in test_scenarios.py: "a log without attitude".
+@pytest.mark.parametrize(("sensors", "bound_m"), rest_long([("full", 3.0), ("seed", 6.0)]))
 def test_clicks_land_where_they_should(
     flight: Path, simulated: dict[str, Simulated], sensors: str, bound_m: float
 ) -> None:
@@ -138,7 +140,7 @@ def test_clicks_land_where_they_should(
     assert float(np.mean(inside)) > 0.7
 
 
-@pytest.mark.parametrize("sensors", ["seed", "full"])
+@pytest.mark.parametrize("sensors", rest_long(["full", "seed"]))
 def test_every_picture_of_a_solved_stretch_can_be_clicked(simulated: dict[str, Simulated], sensors: str) -> None:
     recording = Recording(simulated[sensors].recording)
     sets = [recording.by_frame("uav", frame) for frame in range(FRAMES)]

@@ -109,7 +109,7 @@ HILLS = Row(
     "", "", "", 240.0, (), worst=2.0, q90=(0.4, math.inf), fault="hills", of_benchmark=True, long="many minutes each"
 )
 STREAM = Row("", "", "full", 90.0, (7,), inside=(0.8, 1.0), clicks=51, q90=(0.3, math.inf), delay=(3.0, 0.05),
-             warm_s=8.0, long="the first of them")  # fmt: skip
+             warm_s=8.0, long="a minute of it")  # fmt: skip
 
 TABLE = [
     # Nearly straight up, on camera and GPS alone, then banking and changing to cruise. Before, three of four grounds
@@ -158,10 +158,11 @@ TABLE = [
     # A network stream's delay may be anything up to a second: 0.45 s early or late of the middle that the configuration
     # states for a stream. Taken as linear about that middle windows were wrong for whole flights: 0.5 s off where 0.04
     # was stated. The quad climbs for 70 s, which shows little of a delay.
+    replace(STREAM, claim="the delay of a stream late is found within a minute as well as it is stated",
+            recording="plane_wind_noise", fault="stream late", seconds=60.0, long=""),
     *(
         replace(STREAM, claim=f"the delay of a {fault} is found as well as it is stated, {name}", recording=name,
-                fault=fault, attitude_hz=attitude_hz, seconds=150.0 if name == "quad" else 90.0,
-                long="" if (name, fault) == ("plane_wind_noise", "stream late") else STREAM.long)
+                fault=fault, attitude_hz=attitude_hz, seconds=150.0 if name == "quad" else 90.0)
         for name, fault, attitude_hz in (
             ("plane_wind_noise", "stream late", None), ("plane_wind_noise", "stream early", 4.0),
             ("plane_breeze", "stream early", None), ("plane_log", "stream late", None),

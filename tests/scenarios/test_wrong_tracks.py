@@ -36,7 +36,7 @@ def ratios(seeds: Sequence[int]) -> Array:
     return np.concatenate(out)
 
 
-@pytest.mark.parametrize("seeds", rest_long([[0, 5], range(6)]))
+@pytest.mark.parametrize("seeds", rest_long([[0], range(6)]))
 def test_a_hover_with_wrong_tracks_is_answered_and_its_ellipses_hold(seeds: Sequence[int]) -> None:
     ratio = ratios(seeds)
     assert 0.78 < np.mean(ratio < 1.0) < 0.97
