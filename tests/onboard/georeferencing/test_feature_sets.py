@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -89,6 +90,7 @@ class Study:
     refused: int = 0
 
 
+@cache
 def study(
     config: Config, spec: SceneSpec, worlds: int, first_seed: int = 0, may_refuse: int = 0
 ) -> tuple[Study, Study]:
@@ -137,10 +139,10 @@ def _click(out: Study, scene: Scene, window: Window, frame: int, uv: Array) -> N
     out.error_m.append(float(np.linalg.norm(error[:2])))
 
 
-WORLDS = 100
+FEW_WORLDS, WORLDS = 40, 100
 
 
-@pytest.mark.parametrize("worlds", rest_long([40, WORLDS]))
+@pytest.mark.parametrize("worlds", rest_long([FEW_WORLDS, WORLDS]))
 def test_nine_of_ten_clicks_lie_inside_the_ellipse_with_the_full_sensor_set(worlds: int) -> None:
     """Flat ground of unknown slope, every sensor erring as configured, boresight and clock unknown.
 
@@ -190,9 +192,9 @@ def test_an_ellipse_that_is_taken_too_small_would_be_noticed(monkeypatch: pytest
 
 
 def test_better_sensors_make_smaller_ellipses() -> None:
-    full, _ = study(FULL, SceneSpec(), 8)
+    full, _ = study(FULL, SceneSpec(), FEW_WORLDS)  # solved for what is above; as many count as of the other
     seed, _ = study(SEED_SENSORS, SceneSpec(), 8)
-    assert 1.3 < np.median(seed.major_m) / np.median(full.major_m) < 5.0
+    assert 1.3 < np.median(seed.major_m) / np.median(full.major_m[:8]) < 5.0
 
 
 def test_without_errors_a_click_is_where_the_ground_is() -> None:

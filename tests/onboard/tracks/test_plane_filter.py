@@ -94,7 +94,7 @@ def test_a_measurement_that_is_better_than_declared_gives_a_speed_that_is(declar
     )
 
 
-@pytest.mark.parametrize("height_m", [0.0, 1.2, -1.2])
+@pytest.mark.parametrize("height_m", rest_long([1.2, -1.2, 0.0]))
 def test_a_thing_at_rest_stays_at_rest_when_the_ground_that_ways_count_from_is_lost(height_m: float) -> None:
     """The place begins again at -h s (24.15): begun at zero, the height that a circling camera has learned by then
     became a speed.
