@@ -307,6 +307,7 @@ class WholeRecording:
         self._recorder.write_event(event, arrival_ns)
 
     def tracks(self, reports: list[TrackReport]) -> None:
+        """Write reports of one picture as one message."""
         payload = b"".join(encode_track(report) for report in reports)
         self._recorder.write_report(TRACKS, reports[0].capture_unix_ns, payload)
 

@@ -49,6 +49,7 @@ class Gap:
         return " and ".join([", ".join(named[:-1]), named[-1]] if len(named) > 1 else named)
 
     def to_json(self) -> bytes:
+        """Return the gap as a recording keeps it."""
         counts = {words.many: self.counts.get(words.many, 0) for words in COUNTED}
         content = {"begin_ns": self.begin_ns, "end_ns": self.end_ns, "reason": self.reason, **counts}
         return json.dumps(content, separators=(",", ":")).encode()
