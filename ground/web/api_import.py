@@ -13,34 +13,35 @@ from ground.formats.documents import read_pins_of
 from ground.formats.rounded import rounded_text
 from ground.pins.model import MAX_WHO
 from ground.web.context import ServerContext
+from ground.web.dependency import Context
 
 MOST_LISTED = 20  # of what a file has and cannot be read
 
 
-def import_router(context: ServerContext) -> APIRouter:
-    """Routes below /api."""
-    router = APIRouter(tags=["places from elsewhere"])
+# Routes below /api.
+router = APIRouter(tags=["places from elsewhere"])
 
-    @router.get("/coordinate", summary="A typed coordinate in degrees (422 with the reason if it has none, or two)")
-    def coordinate(text: Annotated[str, Query(max_length=1000)]) -> dict[str, Any]:
-        found = read_coordinate(text)
-        return {
-            "lat_deg": found.lat_deg,
-            "lon_deg": found.lon_deg,
-            "form": found.form,
-            "texts": {name: _text(name, found.lat_deg, found.lon_deg) for name in ("degrees", "mgrs")},
-        }
 
-    @router.post("/import", summary="Pins of a file (the body): GeoJSON, KML, KMZ, GPX, CSV or CoT, by its name")
-    async def bring_in(
-        request: Request,
-        name: Annotated[str, Query(min_length=1, max_length=300)],
-        who: Annotated[str, Query(max_length=MAX_WHO)] = "",
-    ) -> dict[str, Any]:
-        data = await request.body()
-        return await run_in_threadpool(_import, context, name, data, who)
+@router.get("/coordinate", summary="A typed coordinate in degrees (422 with the reason if it has none, or two)")
+def coordinate(text: Annotated[str, Query(max_length=1000)]) -> dict[str, Any]:
+    found = read_coordinate(text)
+    return {
+        "lat_deg": found.lat_deg,
+        "lon_deg": found.lon_deg,
+        "form": found.form,
+        "texts": {name: _text(name, found.lat_deg, found.lon_deg) for name in ("degrees", "mgrs")},
+    }
 
-    return router
+
+@router.post("/import", summary="Pins of a file (the body): GeoJSON, KML, KMZ, GPX, CSV or CoT, by its name")
+async def bring_in(
+    context: Context,
+    request: Request,
+    name: Annotated[str, Query(min_length=1, max_length=300)],
+    who: Annotated[str, Query(max_length=MAX_WHO)] = "",
+) -> dict[str, Any]:
+    data = await request.body()
+    return await run_in_threadpool(_import, context, name, data, who)
 
 
 def _import(context: ServerContext, name: str, data: bytes, who: str) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from fastapi import APIRouter, HTTPException, Path, Query, Response
 
 from ground.seen.picture_cells import pixel_of
 from ground.web.api_vehicles import Frame, Session
-from ground.web.context import ServerContext
+from ground.web.dependency import Context
 
 MAX_ZOOM = 24
 
@@ -17,40 +17,44 @@ Longitude = Annotated[float, Query(ge=-360.0, le=360.0, allow_inf_nan=False)]
 TileNumber = Annotated[int, Path(ge=0, lt=2**MAX_ZOOM)]
 
 
-def seen_router(context: ServerContext) -> APIRouter:
-    """Routes below /api. The first question begins the counting."""
-    router = APIRouter(tags=["what was seen"])
-    seen = context.seen_map
+# Routes below /api. The first question begins the counting.
+router = APIRouter(tags=["what was seen"])
 
-    @router.get("/seen", summary="How much of the ground was seen, and how much is still to be counted")
-    def state() -> dict[str, Any]:
-        seen.begin()
-        return seen.state()
 
-    @router.get(
-        "/seen/tiles/{z}/{x}/{y}", summary="A tile of the map, PNG, by age or by count", response_class=Response
+@router.get("/seen", summary="How much of the ground was seen, and how much is still to be counted")
+def state(context: Context) -> dict[str, Any]:
+    context.seen_map.begin()
+    return context.seen_map.state()
+
+
+@router.get("/seen/tiles/{z}/{x}/{y}", summary="A tile of the map, PNG, by age or by count", response_class=Response)
+def tile(
+    context: Context,
+    z: Annotated[int, Path(ge=0, le=MAX_ZOOM)],
+    x: TileNumber,
+    y: TileNumber,
+    by: Literal["age", "count"] = "age",
+) -> Response:
+    context.seen_map.begin()
+    return Response(
+        context.seen_map.tile(z, x, y, by), media_type="image/png", headers={"cache-control": "private, max-age=60"}
     )
-    def tile(
-        z: Annotated[int, Path(ge=0, le=MAX_ZOOM)], x: TileNumber, y: TileNumber, by: Literal["age", "count"] = "age"
-    ) -> Response:
-        seen.begin()
-        return Response(
-            seen.tile(z, x, y, by), media_type="image/png", headers={"cache-control": "private, max-age=60"}
-        )
 
-    @router.get("/seen/at", summary="The pictures that have seen a place")
-    def at(lat: Latitude, lon: Longitude) -> dict[str, Any]:
-        seen.begin()
-        return seen.at(lat, lon)
 
-    @router.get("/vehicles/{vehicle}/frames/{frame}/pixel", summary="The pixel of a picture that shows a place")
-    def pixel(vehicle: str, frame: Frame, lat: Latitude, lon: Longitude, session: Session = None) -> dict[str, float]:
-        found = context.source.feature_set(vehicle, session, frame) if vehicle in context.source.vehicles() else None
-        if found is None:
-            raise HTTPException(404, "no set of this picture is there")
-        uv = pixel_of(found, lat, lon)
-        if uv is None:
-            raise HTTPException(404, "the place is not in this picture")
-        return {"u_px": round(uv[0], 2), "v_px": round(uv[1], 2)}
+@router.get("/seen/at", summary="The pictures that have seen a place")
+def at(context: Context, lat: Latitude, lon: Longitude) -> dict[str, Any]:
+    context.seen_map.begin()
+    return context.seen_map.at(lat, lon)
 
-    return router
+
+@router.get("/vehicles/{vehicle}/frames/{frame}/pixel", summary="The pixel of a picture that shows a place")
+def pixel(
+    context: Context, vehicle: str, frame: Frame, lat: Latitude, lon: Longitude, session: Session = None
+) -> dict[str, float]:
+    found = context.source.feature_set(vehicle, session, frame) if vehicle in context.source.vehicles() else None
+    if found is None:
+        raise HTTPException(404, "no set of this picture is there")
+    uv = pixel_of(found, lat, lon)
+    if uv is None:
+        raise HTTPException(404, "the place is not in this picture")
+    return {"u_px": round(uv[0], 2), "v_px": round(uv[1], 2)}

@@ -13,6 +13,7 @@ from ground.pins.machine import click_of, decision, decisions
 from ground.pins.model import MAX_NAME, MAX_WHO, Category, Pin
 from ground.spots.found_thing import FoundThing
 from ground.web.context import NotThere, ServerContext
+from ground.web.dependency import Context
 
 Number = Annotated[int, Path(ge=1, le=10**9)]
 
@@ -33,64 +34,67 @@ class Dismissed(BaseModel):
     who: str = Field(default="", max_length=MAX_WHO)
 
 
-def spots_router(context: ServerContext) -> APIRouter:
-    """Routes below /api."""
-    router = APIRouter(tags=["hot spots"])
-    received = context.source.views.spots
+# Routes below /api.
+router = APIRouter(tags=["hot spots"])
 
-    def thing(number: int) -> FoundThing:
-        found = received.thing(number)
-        if found is None:
-            raise NotThere(f"no hot spot {number}")
-        return found
 
-    def undecided(number: int) -> FoundThing:
-        found = thing(number)
-        made = decision(found, decisions(context.store.everything()))
-        if made is not None:
-            word = "dismissed" if made.is_deleted else f"pin {made.number}"
-            raise HTTPException(409, f"hot spot {number} is {word} already")
-        return found
+def _thing(context: ServerContext, number: int) -> FoundThing:
+    found = context.source.views.spots.thing(number)
+    if found is None:
+        raise NotThere(f"no hot spot {number}")
+    return found
 
-    @router.get("/spots", summary="All hot spots as things, with what was decided of them")
-    def spots() -> dict[str, Any]:
-        version, things = received.version, received.things()
-        return {"version": version, "spots": spots_json(context, things)}
 
-    @router.post("/spots/{number}/confirm", status_code=201, summary="It is something: a pin, with its source stated")
-    def confirm(number: Number, body: Confirmed) -> Response:
-        found = undecided(number)
-        click = click_of(found, body.who)
-        note = f"found by the machine as hot spot {number}, confirmed by {body.who or 'a person'}: {found.heat_text}"
-        pin = context.store.add(
-            [click], name=body.name, note=note, category=body.category, who=body.who, crop=context.crop_of(click)
-        )
-        context.changed(pin.id)
-        return Response(context.pin_text(pin.id), status_code=201, media_type="application/json")
+def _undecided(context: ServerContext, number: int) -> FoundThing:
+    found = _thing(context, number)
+    made = decision(found, decisions(context.store.everything()))
+    if made is not None:
+        word = "dismissed" if made.is_deleted else f"pin {made.number}"
+        raise HTTPException(409, f"hot spot {number} is {word} already")
+    return found
 
-    @router.post("/spots/{number}/dismiss", summary="It is nothing: it is not shown again")
-    def dismiss(number: Number, body: Dismissed) -> dict[str, Any]:
-        found = undecided(number)
-        pin = context.store.add([click_of(found, body.who)], name=f"hot spot {number}", who=body.who)
-        context.store.delete(pin.id, who=body.who)
-        context.changed(pin.id)
-        return {"pin": pin.id}
 
-    @router.get("/fire", summary="What burned in the last minutes: GeoJSON, as seen, surely and perhaps; and in words")
-    def fire(minutes: Annotated[float, Query(gt=0.0, le=1440.0)] = 5.0) -> dict[str, Any]:
-        found = received.fire(minutes)
-        if found is None:
-            return {"type": "FeatureCollection", "features": [], "words": "No picture shows a fire with its outline."}
-        return {**fire_area.features(found), "words": found.to_text()}
+@router.get("/spots", summary="All hot spots as things, with what was decided of them")
+def spots(context: Context) -> dict[str, Any]:
+    version, things = context.source.views.spots.version, context.source.views.spots.things()
+    return {"version": version, "spots": spots_json(context, things)}
 
-    @router.get("/spots/{number}/crop", summary="The picture about it, where it is seen best", response_class=Response)
-    def crop(number: Number) -> Response:
-        found = context.crop_of(click_of(thing(number), ""))
-        if found is None:
-            raise NotThere("no picture of it is there")
-        return Response(found, media_type="image/jpeg")
 
-    return router
+@router.post("/spots/{number}/confirm", status_code=201, summary="It is something: a pin, with its source stated")
+def confirm(context: Context, number: Number, body: Confirmed) -> Response:
+    found = _undecided(context, number)
+    click = click_of(found, body.who)
+    note = f"found by the machine as hot spot {number}, confirmed by {body.who or 'a person'}: {found.heat_text}"
+    pin = context.store.add(
+        [click], name=body.name, note=note, category=body.category, who=body.who, crop=context.crop_of(click)
+    )
+    context.changed(pin.id)
+    return Response(context.pin_text(pin.id), status_code=201, media_type="application/json")
+
+
+@router.post("/spots/{number}/dismiss", summary="It is nothing: it is not shown again")
+def dismiss(context: Context, number: Number, body: Dismissed) -> dict[str, Any]:
+    found = _undecided(context, number)
+    pin = context.store.add([click_of(found, body.who)], name=f"hot spot {number}", who=body.who)
+    context.store.delete(pin.id, who=body.who)
+    context.changed(pin.id)
+    return {"pin": pin.id}
+
+
+@router.get("/fire", summary="What burned in the last minutes: GeoJSON, as seen, surely and perhaps; and in words")
+def fire(context: Context, minutes: Annotated[float, Query(gt=0.0, le=1440.0)] = 5.0) -> dict[str, Any]:
+    found = context.source.views.spots.fire(minutes)
+    if found is None:
+        return {"type": "FeatureCollection", "features": [], "words": "No picture shows a fire with its outline."}
+    return {**fire_area.features(found), "words": found.to_text()}
+
+
+@router.get("/spots/{number}/crop", summary="The picture about it, where it is seen best", response_class=Response)
+def crop(context: Context, number: Number) -> Response:
+    found = context.crop_of(click_of(_thing(context, number), ""))
+    if found is None:
+        raise NotThere("no picture of it is there")
+    return Response(found, media_type="image/jpeg")
 
 
 def spots_json(context: ServerContext, things: list[FoundThing]) -> list[dict[str, Any]]:

@@ -10,36 +10,35 @@ from contract.answer import EXPLANATIONS
 from contract.errors import LinkError
 from contract.track import MOST_PX, StartTrack, StopTrack, TrackReport
 from ground.web.api_vehicles import ClickBody
-from ground.web.context import ServerContext
+from ground.web.dependency import Context
 
 MOST_OF_A_PATH = 600  # reports that a page gets of one track
 
 
-def tracks_router(context: ServerContext) -> APIRouter:
-    """Routes below /api."""
-    router = APIRouter(tags=["things that are followed"])
-    source = context.source
+# Routes below /api.
+router = APIRouter(tags=["things that are followed"])
 
-    @router.get("/tracks", summary="What is or was followed: of each thing its reports, in capture order")
-    def tracks(most: Annotated[int, Query(ge=2, le=7200)] = MOST_OF_A_PATH) -> dict[str, Any]:
-        paths = source.views.tracks.paths(most)
-        return {"version": source.views.tracks.version, "tracks": [[track_json(r) for r in path] for path in paths]}
 
-    @router.post("/tracks", status_code=201, summary="Follow what is at a pixel of a picture, seconds old or new")
-    def begin(body: ClickBody) -> dict[str, Any]:
-        if not (-0.5 <= body.u <= MOST_PX and -0.5 <= body.v <= MOST_PX):
-            raise HTTPException(422, "not a pixel of a picture")
-        rows = source.frames(body.vehicle, 1)
-        if body.session is not None and rows and rows[-1].session != body.session:
-            raise LinkError("the aircraft's software was restarted after this picture: click a newer one")
-        reply = source.follow(body.vehicle, StartTrack(body.u, body.v, body.frame))
-        return {"vehicle": body.vehicle, "track": reply.get("track"), "frame": reply.get("frame")}
+@router.get("/tracks", summary="What is or was followed: of each thing its reports, in capture order")
+def tracks(context: Context, most: Annotated[int, Query(ge=2, le=7200)] = MOST_OF_A_PATH) -> dict[str, Any]:
+    paths = context.source.views.tracks.paths(most)
+    return {"version": context.source.views.tracks.version, "tracks": [[track_json(r) for r in path] for path in paths]}
 
-    @router.delete("/tracks/{vehicle}/{number}", summary="Follow it no longer")
-    def end(vehicle: str, number: Annotated[int, Path(ge=1, le=255)]) -> dict[str, Any]:
-        return {"tracks": source.follow(vehicle, StopTrack(number)).get("tracks", [])}
 
-    return router
+@router.post("/tracks", status_code=201, summary="Follow what is at a pixel of a picture, seconds old or new")
+def begin(context: Context, body: ClickBody) -> dict[str, Any]:
+    if not (-0.5 <= body.u <= MOST_PX and -0.5 <= body.v <= MOST_PX):
+        raise HTTPException(422, "not a pixel of a picture")
+    rows = context.source.frames(body.vehicle, 1)
+    if body.session is not None and rows and rows[-1].session != body.session:
+        raise LinkError("the aircraft's software was restarted after this picture: click a newer one")
+    reply = context.source.follow(body.vehicle, StartTrack(body.u, body.v, body.frame))
+    return {"vehicle": body.vehicle, "track": reply.get("track"), "frame": reply.get("frame")}
+
+
+@router.delete("/tracks/{vehicle}/{number}", summary="Follow it no longer")
+def end(context: Context, vehicle: str, number: Annotated[int, Path(ge=1, le=255)]) -> dict[str, Any]:
+    return {"tracks": context.source.follow(vehicle, StopTrack(number)).get("tracks", [])}
 
 
 def track_json(report: TrackReport) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from ground.circular_error import ce90_m
 from ground.pins.fusion import Place
 from ground.web.advice import ADVICE
 from ground.web.context import ServerContext
+from ground.web.dependency import Context
 from ground.web.pin_json import place_json
 from ground.web.source import FrameRow, VehicleReport
 from ground.web.view import camera_place, frame_view
@@ -43,90 +44,96 @@ class ClickBody(BaseModel):
     session: int | None = Field(default=None, ge=0, le=2**63 - 1)
 
 
-def vehicles_router(context: ServerContext) -> APIRouter:
-    """Routes below /api."""
-    router = APIRouter(tags=["pictures and clicks"])
-    source = context.source
+# Routes below /api.
+router = APIRouter(tags=["pictures and clicks"])
 
-    @router.get("/vehicles", summary="All vehicles and how they are")
-    def vehicles() -> list[dict[str, Any]]:
-        return [vehicle_json(context, name) for name in source.vehicles()]
 
-    @router.get("/vehicles/{vehicle}/frames", summary="The pictures that can be asked for, in capture order")
-    def frames(vehicle: str) -> list[dict[str, Any]]:
-        _known(vehicle)
-        return [row_json(row) for row in source.frames(vehicle)]
+@router.get("/vehicles", summary="All vehicles and how they are")
+def vehicles(context: Context) -> list[dict[str, Any]]:
+    return [vehicle_json(context, name) for name in context.source.vehicles()]
 
-    @router.get("/vehicles/{vehicle}/frames/{frame}/picture", summary="A picture", response_class=Response)
-    def picture(vehicle: str, frame: Frame, session: Session = None) -> Response:
-        _known(vehicle)
-        found = source.picture(vehicle, session, frame)
-        if found is None:
-            raise HTTPException(404, "this picture is not there")
-        # A picture of a session never changes; a frame of a video may be another once its delay is known better.
-        kept = "private, max-age=3600" if found.is_unchanging else "no-store"
-        return Response(found.content, media_type=found.media_type, headers={"cache-control": kept})
 
-    @router.get("/vehicles/{vehicle}/frames/{frame}/features", summary="What is shown on a picture, and its camera")
-    def features(vehicle: str, frame: Frame, session: Session = None) -> dict[str, Any]:
-        _known(vehicle)
-        found = source.feature_set(vehicle, session, frame)
-        if found is None:
-            raise HTTPException(404, "no set of this picture is there")
-        return frame_view(found, _before(found), source.age_s(found), context.clicker.locator(found))
+@router.get("/vehicles/{vehicle}/frames", summary="The pictures that can be asked for, in capture order")
+def frames(context: Context, vehicle: str) -> list[dict[str, Any]]:
+    _known(context, vehicle)
+    return [row_json(row) for row in context.source.frames(vehicle)]
 
-    @router.get("/vehicles/{vehicle}/path", summary="Where the camera was, picture by picture")
-    def path(vehicle: str, most: Annotated[int, Query(ge=2, le=5000)] = 1000) -> list[list[float]]:
-        _known(vehicle)
-        rows = [row for row in source.frames(vehicle) if row.status.value == "ok"]
-        step = max(1, -(-len(rows) // most))
-        kept = rows[::-1][::step][::-1]
-        places = (source.feature_set(vehicle, row.session, row.frame) for row in kept)
-        return [place for s in places if s is not None and (place := camera_place(s)) is not None]
 
-    @router.post("/click", summary="A pixel's position on the ground, as pc-ground click --format json writes it")
-    def click(body: ClickBody) -> Response:
-        clicked = context.clicker.click(body.vehicle, body.session, body.frame, body.u, body.v)
-        return Response(clicked.answer.to_json(), media_type="application/json")
+@router.get("/vehicles/{vehicle}/frames/{frame}/picture", summary="A picture", response_class=Response)
+def picture(context: Context, vehicle: str, frame: Frame, session: Session = None) -> Response:
+    _known(context, vehicle)
+    found = context.source.picture(vehicle, session, frame)
+    if found is None:
+        raise HTTPException(404, "this picture is not there")
+    # A picture of a session never changes; a frame of a video may be another once its delay is known better.
+    kept = "private, max-age=3600" if found.is_unchanging else "no-store"
+    return Response(found.content, media_type=found.media_type, headers={"cache-control": kept})
 
-    @router.post("/place", summary="Where a pin at a pixel would be, ties applied, and how sure; nothing is kept")
-    def place(body: ClickBody) -> dict[str, Any]:
-        clicked = context.clicker.click(body.vehicle, body.session, body.frame, body.u, body.v)
-        made = context.pin_click(clicked, body.u, body.v, "")
-        found = None if made is None else context.places.of_clicks([made])
-        if isinstance(found, Place) and made is not None:
-            return {"status": "ok", "method": made.method, **place_json(found)}
-        return answer_json(clicked.answer.to_json())
 
-    @router.get("/status", summary="How the server and all vehicles are")
-    def status(request: Request) -> dict[str, Any]:
-        return {
-            "role": request.state.role,
-            "source": source.name,
-            "is_live": source.is_live,
-            "damage": source.damage()[:20],
-            "no_pictures": source.no_pictures(),
-            "sharing": context.sharing_words(),
-            "up_s": round(time.time() - context.started_unix_s, 1),
-            "browsers": len(context.hub),
-            "tiles": None if context.tiles is None else context.tiles.to_dict(),
-            "vehicles": [vehicle_json(context, name) for name in source.vehicles()],
-        }
+@router.get("/vehicles/{vehicle}/frames/{frame}/features", summary="What is shown on a picture, and its camera")
+def features(context: Context, vehicle: str, frame: Frame, session: Session = None) -> dict[str, Any]:
+    _known(context, vehicle)
+    found = context.source.feature_set(vehicle, session, frame)
+    if found is None:
+        raise HTTPException(404, "no set of this picture is there")
+    return frame_view(found, _before(context, found), context.source.age_s(found), context.clicker.locator(found))
 
-    def _known(vehicle: str) -> None:
-        if vehicle not in source.vehicles():
-            raise HTTPException(404, f"no vehicle {vehicle[:80]!r}")
 
-    def _before(found: FeatureSet) -> list[FeatureSet]:
-        rows: list[FrameRow] = []
-        for newest in (NEAR, None):  # mostly it is one of the newest, and an hour has many pictures
-            rows = [r for r in source.frames(found.vehicle, newest) if r.capture_unix_ns < found.capture_unix_ns]
-            if len(rows) >= EARLIER:
-                break
-        sets = (source.feature_set(found.vehicle, r.session, r.frame) for r in rows[: -EARLIER - 1 : -1])
-        return [s for s in sets if s is not None]
+@router.get("/vehicles/{vehicle}/path", summary="Where the camera was, picture by picture")
+def path(context: Context, vehicle: str, most: Annotated[int, Query(ge=2, le=5000)] = 1000) -> list[list[float]]:
+    _known(context, vehicle)
+    rows = [row for row in context.source.frames(vehicle) if row.status.value == "ok"]
+    step = max(1, -(-len(rows) // most))
+    kept = rows[::-1][::step][::-1]
+    places = (context.source.feature_set(vehicle, row.session, row.frame) for row in kept)
+    return [place for s in places if s is not None and (place := camera_place(s)) is not None]
 
-    return router
+
+@router.post("/click", summary="A pixel's position on the ground, as pc-ground click --format json writes it")
+def click(context: Context, body: ClickBody) -> Response:
+    clicked = context.clicker.click(body.vehicle, body.session, body.frame, body.u, body.v)
+    return Response(clicked.answer.to_json(), media_type="application/json")
+
+
+@router.post("/place", summary="Where a pin at a pixel would be, ties applied, and how sure; nothing is kept")
+def place(context: Context, body: ClickBody) -> dict[str, Any]:
+    clicked = context.clicker.click(body.vehicle, body.session, body.frame, body.u, body.v)
+    made = context.pin_click(clicked, body.u, body.v, "")
+    found = None if made is None else context.places.of_clicks([made])
+    if isinstance(found, Place) and made is not None:
+        return {"status": "ok", "method": made.method, **place_json(found)}
+    return answer_json(clicked.answer.to_json())
+
+
+@router.get("/status", summary="How the server and all vehicles are")
+def status(context: Context, request: Request) -> dict[str, Any]:
+    return {
+        "role": request.state.role,
+        "source": context.source.name,
+        "is_live": context.source.is_live,
+        "damage": context.source.damage()[:20],
+        "no_pictures": context.source.no_pictures(),
+        "sharing": context.sharing_words(),
+        "up_s": round(time.time() - context.started_unix_s, 1),
+        "browsers": len(context.hub),
+        "tiles": None if context.tiles is None else context.tiles.to_dict(),
+        "vehicles": [vehicle_json(context, name) for name in context.source.vehicles()],
+    }
+
+
+def _known(context: ServerContext, vehicle: str) -> None:
+    if vehicle not in context.source.vehicles():
+        raise HTTPException(404, f"no vehicle {vehicle[:80]!r}")
+
+
+def _before(context: ServerContext, found: FeatureSet) -> list[FeatureSet]:
+    rows: list[FrameRow] = []
+    for newest in (NEAR, None):  # mostly it is one of the newest, and an hour has many pictures
+        rows = [r for r in context.source.frames(found.vehicle, newest) if r.capture_unix_ns < found.capture_unix_ns]
+        if len(rows) >= EARLIER:
+            break
+    sets = (context.source.feature_set(found.vehicle, r.session, r.frame) for r in rows[: -EARLIER - 1 : -1])
+    return [s for s in sets if s is not None]
 
 
 def row_json(row: FrameRow) -> dict[str, Any]:

@@ -15,16 +15,10 @@ from fastapi.responses import FileResponse, HTMLResponse, JSONResponse, PlainTex
 from starlette.types import ASGIApp
 
 from contract.errors import PointclickError
-from ground.web.api_import import import_router
-from ground.web.api_pins import pins_router
-from ground.web.api_seen import seen_router
-from ground.web.api_spots import spots_router
-from ground.web.api_tracks import tracks_router
-from ground.web.api_vehicles import vehicles_router
+from ground.web import api_import, api_pins, api_seen, api_spots, api_tracks, api_vehicles, handoff, ogc
 from ground.web.context import NotThere, ServerContext
+from ground.web.dependency import Context
 from ground.web.guard import Guard, Rules
-from ground.web.handoff import handoff_router
-from ground.web.ogc import ogc_router
 from ground.web.tiles import MbTiles
 from ground.web.watch import Watch
 
@@ -58,13 +52,10 @@ def create_app(context: ServerContext, rules: Rules) -> ASGIApp:
         openapi_url="/api/openapi.json",
         description="Pictures, clicks and pins. Angles in degrees (WGS84), lengths in metres, times in UTC.",
     )
-    routers = (
-        vehicles_router, pins_router, handoff_router, import_router, seen_router, tracks_router, spots_router,
-    )  # fmt: skip
-    for make_router in routers:
-        app.include_router(make_router(context), prefix="/api")
-
-    app.include_router(ogc_router(context), prefix="/ogc")
+    app.state.context = context
+    for part in (api_vehicles, api_pins, handoff, api_import, api_seen, api_tracks, api_spots):
+        app.include_router(part.router, prefix="/api")
+    app.include_router(ogc.router, prefix="/ogc")
 
     @app.exception_handler(PointclickError)
     async def refused(_: Request, error: PointclickError) -> JSONResponse:
@@ -74,35 +65,7 @@ def create_app(context: ServerContext, rules: Rules) -> ASGIApp:
     async def no_such_body(_: Request, error: RequestValidationError) -> JSONResponse:
         return JSONResponse({"detail": _in_a_line(error)}, status_code=422)
 
-    @app.websocket("/api/events")
-    async def events(socket: WebSocket) -> None:
-        queue = context.hub.join()
-        if queue is None:
-            await socket.close(1013, "too many browsers")
-            return
-        await socket.accept()
-
-        async def send() -> None:
-            while True:
-                await socket.send_text(await queue.get())
-
-        async def receive() -> None:
-            while True:
-                await socket.receive_text()
-
-        # One that ends, for any reason, ends the other: the browser notices and connects again.
-        both = asyncio.create_task(send()), asyncio.create_task(receive())
-        try:
-            await asyncio.wait(both, return_when=asyncio.FIRST_COMPLETED)
-        finally:
-            context.hub.leave(queue)
-            for task in both:
-                task.cancel()
-            await asyncio.wait(both)
-        for task in both:
-            error = None if task.cancelled() else task.exception()
-            if error is not None and not isinstance(error, (WebSocketDisconnect, RuntimeError)):
-                raise error
+    app.websocket("/api/events")(_events)
 
     @app.get("/api", include_in_schema=False)
     def about() -> HTMLResponse:
@@ -110,24 +73,55 @@ def create_app(context: ServerContext, rules: Rules) -> ASGIApp:
 
     _add_tiles(app, context)
 
-    @app.get("/{path:path}", include_in_schema=False)
-    def asset(path: str, request: Request) -> Response:
-        name = path or "index.html"
-        file = context.static / name
-        if _ASSET.fullmatch(name) is None or not file.is_file():
-            return PlainTextResponse("there is nothing here\n", status_code=404)
-        # Every build gives its files new names, except the page itself.
-        is_named_by_content = re.search(r"-[A-Z0-9]{8}\.", name) is not None
-        headers = {"cache-control": "public, max-age=31536000, immutable" if is_named_by_content else "no-cache"}
-        media = _MEDIA.get(file.suffix, "application/octet-stream")
-        packed = file.with_name(name + ".gz")
-        if packed.is_file() and "gzip" in request.headers.get("accept-encoding", ""):
-            return FileResponse(
-                packed, media_type=media, headers={**headers, "content-encoding": "gzip", "vary": "accept-encoding"}
-            )
-        return FileResponse(file, media_type=media, headers=headers)
-
+    app.get("/{path:path}", include_in_schema=False)(_asset)
     return Guard(app, rules)
+
+
+async def _events(context: Context, socket: WebSocket) -> None:
+    queue = context.hub.join()
+    if queue is None:
+        await socket.close(1013, "too many browsers")
+        return
+    await socket.accept()
+
+    async def send() -> None:
+        while True:
+            await socket.send_text(await queue.get())
+
+    async def receive() -> None:
+        while True:
+            await socket.receive_text()
+
+    # One that ends, for any reason, ends the other: the browser notices and connects again.
+    both = asyncio.create_task(send()), asyncio.create_task(receive())
+    try:
+        await asyncio.wait(both, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        context.hub.leave(queue)
+        for task in both:
+            task.cancel()
+        await asyncio.wait(both)
+    for task in both:
+        error = None if task.cancelled() else task.exception()
+        if error is not None and not isinstance(error, (WebSocketDisconnect, RuntimeError)):
+            raise error
+
+
+def _asset(context: Context, path: str, request: Request) -> Response:
+    name = path or "index.html"
+    file = context.static / name
+    if _ASSET.fullmatch(name) is None or not file.is_file():
+        return PlainTextResponse("there is nothing here\n", status_code=404)
+    # Every build gives its files new names, except the page itself.
+    is_named_by_content = re.search(r"-[A-Z0-9]{8}\.", name) is not None
+    headers = {"cache-control": "public, max-age=31536000, immutable" if is_named_by_content else "no-cache"}
+    media = _MEDIA.get(file.suffix, "application/octet-stream")
+    packed = file.with_name(name + ".gz")
+    if packed.is_file() and "gzip" in request.headers.get("accept-encoding", ""):
+        return FileResponse(
+            packed, media_type=media, headers={**headers, "content-encoding": "gzip", "vary": "accept-encoding"}
+        )
+    return FileResponse(file, media_type=media, headers=headers)
 
 
 def _in_a_line(error: RequestValidationError) -> str:

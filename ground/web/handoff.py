@@ -18,6 +18,7 @@ from ground.formats.rounded import decimals, rounded_text, spoken_mgrs
 from ground.pins.fusion import Vector
 from ground.pins.model import Category, Pin
 from ground.web.context import NotThere, ServerContext
+from ground.web.dependency import Context
 
 _TITLES = {
     Category.PERSON: "Person",
@@ -35,47 +36,48 @@ _FORMS = {
 }
 
 
-def handoff_router(context: ServerContext) -> APIRouter:
-    """Routes below /api."""
-    router = APIRouter(tags=["hand-off and export"])
+# Routes below /api.
+router = APIRouter(tags=["hand-off and export"])
 
-    @router.get("/pins/{pin_id}/handoff", summary="A pin's coordinate in every format, as texts to copy")
-    def handoff(
-        pin_id: str,
-        first: Annotated[str, Query(alias="from", max_length=64)] = "",
-        crs: Annotated[str, Query(max_length=40)] = "",
-    ) -> dict[str, Any]:
-        pin = context.pin(pin_id)
-        mark = Mark.of_pin(pin, context.places.place(pin))
-        if not mark.is_placed:
-            raise HTTPException(409, f"pin {pin.number} has no position to hand on: {mark.reason}")
-        texts = _texts(mark, crs)
-        if first:
-            texts.append(_bearing(context, context.pin(first), pin))
-        return {"texts": texts, "readback": readback(mark), "geo": geo_uri(mark)}
 
-    @router.get("/pins/{pin_id}/qr.svg", summary="The position as a geo: code", response_class=Response)
-    def qr(pin_id: str) -> Response:
-        pin = context.pin(pin_id)
-        mark = Mark.of_pin(pin, context.places.place(pin))
-        if not mark.is_placed:
-            raise HTTPException(409, f"pin {pin.number} has no position to hand on: {mark.reason}")
-        import segno  # noqa: PLC0415  no page waits for it
+@router.get("/pins/{pin_id}/handoff", summary="A pin's coordinate in every format, as texts to copy")
+def handoff(
+    context: Context,
+    pin_id: str,
+    first: Annotated[str, Query(alias="from", max_length=64)] = "",
+    crs: Annotated[str, Query(max_length=40)] = "",
+) -> dict[str, Any]:
+    pin = context.pin(pin_id)
+    mark = Mark.of_pin(pin, context.places.place(pin))
+    if not mark.is_placed:
+        raise HTTPException(409, f"pin {pin.number} has no position to hand on: {mark.reason}")
+    texts = _texts(mark, crs)
+    if first:
+        texts.append(_bearing(context, context.pin(first), pin))
+    return {"texts": texts, "readback": readback(mark), "geo": geo_uri(mark)}
 
-        out = io.BytesIO()
-        segno.make(geo_uri(mark), error="m").save(out, kind="svg", border=2, scale=4, dark="#000", light="#fff")
-        return Response(out.getvalue(), media_type="image/svg+xml")
 
-    @router.get("/export/{kind}", summary=f"All pins as a file: {', '.join(FORMATS)}", response_class=Response)
-    def export(kind: str) -> Response:
-        if kind not in FORMATS:
-            raise NotThere(f"no format {kind[:40]!r}; there is {', '.join(FORMATS)}")
-        marks = [Mark.of_pin(pin, context.places.place(pin)) for pin in context.store.pins()]
-        about = FORMATS[kind]
-        headers = {"content-disposition": f'attachment; filename="pins{about.suffix}"'}
-        return Response(about.write(marks, None), media_type=about.media_type, headers=headers)
+@router.get("/pins/{pin_id}/qr.svg", summary="The position as a geo: code", response_class=Response)
+def qr(context: Context, pin_id: str) -> Response:
+    pin = context.pin(pin_id)
+    mark = Mark.of_pin(pin, context.places.place(pin))
+    if not mark.is_placed:
+        raise HTTPException(409, f"pin {pin.number} has no position to hand on: {mark.reason}")
+    import segno  # noqa: PLC0415  no page waits for it
 
-    return router
+    out = io.BytesIO()
+    segno.make(geo_uri(mark), error="m").save(out, kind="svg", border=2, scale=4, dark="#000", light="#fff")
+    return Response(out.getvalue(), media_type="image/svg+xml")
+
+
+@router.get("/export/{kind}", summary=f"All pins as a file: {', '.join(FORMATS)}", response_class=Response)
+def export(context: Context, kind: str) -> Response:
+    if kind not in FORMATS:
+        raise NotThere(f"no format {kind[:40]!r}; there is {', '.join(FORMATS)}")
+    marks = [Mark.of_pin(pin, context.places.place(pin)) for pin in context.store.pins()]
+    about = FORMATS[kind]
+    headers = {"content-disposition": f'attachment; filename="pins{about.suffix}"'}
+    return Response(about.write(marks, None), media_type=about.media_type, headers=headers)
 
 
 def up(metres: float) -> float:

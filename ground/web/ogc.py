@@ -16,6 +16,7 @@ from contract.answer import time_utc
 from ground.formats import geojson
 from ground.formats.mark import Mark
 from ground.web.context import NotThere, ServerContext
+from ground.web.dependency import Context
 from ground.web.ogc_definition import API_TYPE, definition
 from ground.web.ogc_selection import Selection, WrongParameter
 
@@ -31,67 +32,72 @@ JSON, GEOJSON = "application/json", "application/geo+json"
 Link = dict[str, str]
 
 
-def ogc_router(context: ServerContext) -> APIRouter:
-    """Routes below /ogc. No other method than GET is answered."""
-    router = APIRouter(include_in_schema=False)
+# Routes below /ogc. No other method than GET is answered.
+router = APIRouter(include_in_schema=False)
 
-    def marks() -> list[Mark]:
-        pins = context.store.pins()
-        return [Mark.of_pin(pin, place) for pin, place in zip(pins, context.places.of(pins), strict=True)]
 
-    @router.get("")
-    @router.get("/")
-    def landing(request: Request) -> JSONResponse:
-        base = _base(request)
-        links = [
-            _link(base, "self", JSON, TITLE),
-            _link(f"{base}/api", "service-desc", API_TYPE, "definition of the API"),
-            _link(f"{base}/conformance", "conformance", JSON, "what of the standard is here"),
-            _link(f"{base}/collections", "data", JSON, "collections"),
-        ]
-        return JSONResponse({"title": TITLE, "description": ABOUT, "links": links})
+def _marks(context: ServerContext) -> list[Mark]:
+    pins = context.store.pins()
+    return [Mark.of_pin(pin, place) for pin, place in zip(pins, context.places.of(pins), strict=True)]
 
-    @router.get("/conformance")
-    def conformance() -> JSONResponse:
-        return JSONResponse({"conformsTo": list(CONFORMANCE)})
 
-    @router.get("/api")
-    def api(request: Request) -> JSONResponse:
-        return JSONResponse(definition(_base(request)), media_type=API_TYPE)
+@router.get("")
+@router.get("/")
+def landing(request: Request) -> JSONResponse:
+    base = _base(request)
+    links = [
+        _link(base, "self", JSON, TITLE),
+        _link(f"{base}/api", "service-desc", API_TYPE, "definition of the API"),
+        _link(f"{base}/conformance", "conformance", JSON, "what of the standard is here"),
+        _link(f"{base}/collections", "data", JSON, "collections"),
+    ]
+    return JSONResponse({"title": TITLE, "description": ABOUT, "links": links})
 
-    @router.get("/collections")
-    def collections(request: Request) -> JSONResponse:
-        base = _base(request)
-        links = [_link(f"{base}/collections", "self", JSON, "collections")]
-        return JSONResponse({"links": links, "collections": [_collection(base, marks())]})
 
-    @router.get("/collections/{name}")
-    def collection(name: str, request: Request) -> JSONResponse:
-        return JSONResponse(_collection(_base(request), marks())) if name == PINS else _nothing(name)
+@router.get("/conformance")
+def conformance() -> JSONResponse:
+    return JSONResponse({"conformsTo": list(CONFORMANCE)})
 
-    @router.get("/collections/{name}/items")
-    def items(name: str, request: Request) -> JSONResponse:
-        if name != PINS:
-            return _nothing(name)
-        return _items(request, marks())
 
-    @router.get("/collections/{name}/items/{pin_id}")
-    def item(name: str, pin_id: str, request: Request) -> JSONResponse:
-        if name != PINS:
-            return _nothing(name)
-        try:
-            pin = context.pin(pin_id)
-        except NotThere as error:
-            return _problem(404, str(error))
-        base = f"{_base(request)}/collections/{PINS}"
-        found = geojson.feature(Mark.of_pin(pin, context.places.place(pin)))
-        found["links"] = [
-            _link(f"{base}/items/{quote(pin_id)}", "self", GEOJSON, "this pin"),
-            _link(base, "collection", JSON, TITLE),
-        ]
-        return JSONResponse(found, media_type=GEOJSON)
+@router.get("/api")
+def api(request: Request) -> JSONResponse:
+    return JSONResponse(definition(_base(request)), media_type=API_TYPE)
 
-    return router
+
+@router.get("/collections")
+def collections(context: Context, request: Request) -> JSONResponse:
+    base = _base(request)
+    links = [_link(f"{base}/collections", "self", JSON, "collections")]
+    return JSONResponse({"links": links, "collections": [_collection(base, _marks(context))]})
+
+
+@router.get("/collections/{name}")
+def collection(context: Context, name: str, request: Request) -> JSONResponse:
+    return JSONResponse(_collection(_base(request), _marks(context))) if name == PINS else _nothing(name)
+
+
+@router.get("/collections/{name}/items")
+def items(context: Context, name: str, request: Request) -> JSONResponse:
+    if name != PINS:
+        return _nothing(name)
+    return _items(request, _marks(context))
+
+
+@router.get("/collections/{name}/items/{pin_id}")
+def item(context: Context, name: str, pin_id: str, request: Request) -> JSONResponse:
+    if name != PINS:
+        return _nothing(name)
+    try:
+        pin = context.pin(pin_id)
+    except NotThere as error:
+        return _problem(404, str(error))
+    base = f"{_base(request)}/collections/{PINS}"
+    found = geojson.feature(Mark.of_pin(pin, context.places.place(pin)))
+    found["links"] = [
+        _link(f"{base}/items/{quote(pin_id)}", "self", GEOJSON, "this pin"),
+        _link(base, "collection", JSON, TITLE),
+    ]
+    return JSONResponse(found, media_type=GEOJSON)
 
 
 def _items(request: Request, marks: list[Mark]) -> JSONResponse:

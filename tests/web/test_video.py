@@ -14,7 +14,7 @@ from contract.secrets import without_secrets
 from ground.__main__ import main
 from ground.pins.store import PinStore
 from ground.web import command, startup, video_reader
-from ground.web.api_vehicles import vehicles_router
+from ground.web.api_vehicles import picture
 from ground.web.context import ServerContext
 from ground.web.recorded import RecordedSource
 from ground.web.video_delay import DelayEstimate, best_time_s, is_seen
@@ -96,10 +96,9 @@ def test_a_browser_keeps_no_frame_of_a_video(video: Path, tmp_path: Path) -> Non
     finished(footage)
     source = WithVideo(flight, footage)
     with PinStore(tmp_path / "pins.sqlite") as store:
-        router = vehicles_router(ServerContext(source, store, tmp_path))
-        (ask,) = (r.endpoint for r in router.routes if getattr(r, "path", "").endswith("/{frame}/picture"))
-        assert ask(VEHICLE, 3, None).headers["cache-control"] == "private, max-age=3600"
-        assert ask(VEHICLE, 4, None).headers["cache-control"] == "no-store"
+        context = ServerContext(source, store, tmp_path)
+        assert picture(context, VEHICLE, 3).headers["cache-control"] == "private, max-age=3600"
+        assert picture(context, VEHICLE, 4).headers["cache-control"] == "no-store"
     source.close()
 
 

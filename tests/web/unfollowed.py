@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from contract.errors import LinkError
 from contract.track import TrackRequest
-from ground.spots.received import ReceivedSpots
-from ground.track_paths import TrackPaths
+from ground.web.source import Views
 
 
 class Unfollowed:
     """A part of `Source`. Paths and spots are every such source's: nothing is put into them."""
 
-    tracks = TrackPaths()
-    spots = ReceivedSpots()
+    views = Views()
 
     def unfollowed(self, vehicle: str) -> str:
         """No one does."""
