@@ -207,7 +207,8 @@ class Follower:
         """(24.7): the likeliest place in the picture and its one sigma; None if none looks like it by `least`."""
         middle = (patch.image.shape[0] - 1) // 2
         window = slice(middle - reach - half, middle + reach + half + 1)
-        likeness = self._likeness(patch.image[window, window], half)
+        looks = self._wanted(half)
+        likeness = _likeness(patch.image[window, window], *looks)
         steps = np.arange(-reach, reach + 1, dtype=float)
         place = np.stack(np.meshgrid(steps, steps), axis=-1) + patch.corner + middle
         off = place - self._uv
@@ -217,17 +218,20 @@ class Follower:
         height, width = self._seen.image.shape
         if patch.inside is not None:  # what is cut by the picture's edge is not compared
             score[((place < inner) | (place > (width - 1.0 - inner, height - 1.0 - inner))).any(axis=-1)] = -np.inf
-        here = None
+        here = arrived = None
         if changed is not None:
             cover = cv2.GaussianBlur(changed.surely, (0, 0), max(0.3 * self._size, 0.8))
             here = np.clip(
                 1.6 * cover[middle - reach : middle + reach + 1, middle - reach : middle + reach + 1], 0.0, 1.0
             )
             # Where the ground behind looks more like the thing than the picture does, it has gone from there.
-            came = likeness > self._likeness(changed.behind[window, window], half)
-            score = score + np.where(came, here, 0.0)
+            if here.max() > 0.0:
+                arrived = np.where(likeness > _likeness(changed.behind[window, window], *looks), here, 0.0)
+            else:
+                arrived = here
+            score = score + arrived
         j, i = np.unravel_index(int(np.argmax(score)), score.shape)
-        like, differs = float(likeness[j, i]), 0.0 if here is None else float(here[j, i] * came[j, i])
+        like, differs = float(likeness[j, i]), 0.0 if arrived is None else float(arrived[j, i])
         if here is not None and (still := self._still(likeness, here, place[0, 0], like)) is not None:
             return still, STILL_SIGMA_PX
         if not (like >= SURE_LIKENESS or (differs >= SURE_DIFFERENCE and like >= least)):
@@ -265,23 +269,19 @@ class Follower:
         stands = here[j, i] < UNCHANGED and like >= max(SURE_LIKENESS, best - STILL_LIKENESS)
         return self._rest if stands else None
 
-    def _likeness(self, search: Image, half: int) -> Image:
-        """Correlation of the thing's looks with every place, the mean of both; 0 where there is nothing to compare."""
+    def _wanted(self, half: int) -> tuple[Image, Image]:
+        """The window's weights (2 half + 1) squared, and the kernel of both looks: linear, so that one pass serves."""
         size = 2 * half + 1
         axis = np.arange(size) - half
         soft = np.exp(-0.5 * (axis / max(0.45 * self._size, 1.2)) ** 2)
         mask = np.outer(soft, soft).astype(np.float32)
         mask /= mask.sum()
-        whole = [cv2.filter2D(part, cv2.CV_32F, mask)[half:-half, half:-half] for part in (search, search * search)]
-        spread = np.sqrt(np.maximum(whole[1] - whole[0] ** 2, 0.25))
-        maps = []
+        kernel = np.zeros_like(mask)
         for look in self._looks:
             wanted = look.warped(half)
             wanted = wanted - float((mask * wanted).sum())
-            size_of_it = np.sqrt(max(float((mask * wanted * wanted).sum()), 0.25))
-            maps.append(cv2.filter2D(search, cv2.CV_32F, mask * wanted)[half:-half, half:-half] / (spread * size_of_it))
-        out: Image = np.mean(maps, axis=0)
-        return out
+            kernel += mask * wanted / np.sqrt(max(float((mask * wanted * wanted).sum()), 0.25))
+        return mask, kernel / np.float32(len(self._looks))
 
     def _centred(self, changed: Image, at: Array, patch: Patch) -> tuple[Array, float]:
         """(24.8): the middle of what differs and one sigma of it, px; and the thing's size by its area."""
@@ -346,6 +346,15 @@ class Follower:
                     self._uv = middles[k] + patch.corner
                 return True
         return False
+
+
+def _likeness(search: Image, mask: Image, kernel: Image) -> Image:
+    """Correlation of the thing's looks with every place, the mean of both; 0 where there is nothing to compare."""
+    half = mask.shape[0] // 2
+    whole = [cv2.filter2D(part, cv2.CV_32F, mask)[half:-half, half:-half] for part in (search, search * search)]
+    spread = np.sqrt(np.maximum(whole[1] - whole[0] ** 2, 0.25))
+    out: Image = cv2.filter2D(search, cv2.CV_32F, kernel)[half:-half, half:-half] / spread
+    return out
 
 
 def _peak(values: Image, i: int, j: int) -> Array:

@@ -105,6 +105,32 @@ class World:
         )  # fmt: skip
 
 
+@dataclass
+class Leafy(World):
+    """With a tree of 5 m at the origin whose leaves sway, and through whose gaps the ground, or a thing, is seen."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        grey = np.random.default_rng(99).normal(0.0, 60.0, (2, 240, 320)).astype(np.float32)
+        self._leaves = [75.0 + 2.5 * cv2.GaussianBlur(one, (0, 0), 1.5) for one in grey]
+
+    def image(self, frame: int) -> NDArray[np.uint8]:
+        """The picture (240, 320)."""
+        t, below = frame / RATE_HZ, super().image(frame).astype(np.float32)
+        east, north = self.camera(t)
+        at_px = np.array([-east / M_PX, north / M_PX])
+        turned, layers = 0.5 + 0.5 * math.sin(2.0 * math.pi * 0.4 * t), []
+        for layer, more_px in zip(self._leaves, (0.0, 1.5), strict=True):
+            sway = at_px + (1.2 * math.sin(4.4 * t) + more_px, 0.9 * math.sin(6.9 * t + 1.0))
+            M = np.column_stack([np.eye(2), sway])
+            layers.append(cv2.warpAffine(layer, M, (320, 240), borderMode=cv2.BORDER_REFLECT))
+        leaves = (1.0 - 0.4 * turned) * layers[0] + 0.4 * turned * layers[1]
+        columns, rows = np.meshgrid(np.arange(320.0), np.arange(240.0))
+        crown = np.clip(25.5 - np.hypot(columns - at_px[0] - 159.5, rows - at_px[1] - 119.5), 0.0, 1.0)
+        crown *= 1.0 - 0.5 * (cv2.GaussianBlur(leaves, (0, 0), 2.0) > 88.0)
+        return np.clip(below + crown * (leaves - below), 0.0, 255.0).astype(np.uint8)
+
+
 def stamp_ns(number: int) -> int:
     """When a picture was taken."""
     return EPOCH_NS + round(number * 1e9 / RATE_HZ)

@@ -12,7 +12,7 @@ from contract.answer import CHI2_2
 from contract.feature_set import Status
 from contract.track import MOST_TRACKS, TrackReport, TrackState, Unseen
 from onboard.tracks.track_book import REPORT_LOST_S, TrackBook
-from tests.onboard.tracks.flat_world import M_PX, PLACE, RATE_HZ, SESSION, Place, Thing, World, at
+from tests.onboard.tracks.flat_world import M_PX, PLACE, RATE_HZ, SESSION, Leafy, Place, Thing, World, at
 from tests.rest_long import rest_long
 
 Watch = Callable[[int, list[TrackReport]], None]
@@ -125,6 +125,18 @@ def test_a_parked_car_that_drives_off_is_followed_or_lost_and_never_left_standin
         if n > 55 and report.state is TrackState.FOLLOWED:
             assert "at rest" not in report.course_text and np.hypot(*off) < 3.0
     assert sum(report.state is TrackState.FOLLOWED for n, report in reported[1].items() if n < 36) > 14
+
+
+@pytest.mark.parametrize("seed", rest_long([0, 1, 2]))
+def test_below_a_leafy_tree_it_is_hidden_within_a_second_or_still_seen_and_no_leaf_is_followed(seed: int) -> None:
+    runner = Thing(at(-14.0, 0.3 * seed, (3.0, 0.0)), 1.0)
+    world = Leafy((runner,), camera=at(0.0, 0.0, (0.3, 0.2)) if seed % 2 else at(0.0, 0.0), seed=seed)
+    _, reported = fly(world, range(68), {1: runner}, clicked=15)
+    below = {n: r for n, r in reported[1].items() if n >= 32}
+    assert any(r.state is not TrackState.FOLLOWED for n, r in below.items() if n < 42)
+    seen = {n: r for n, r in below.items() if r.state is TrackState.FOLLOWED}
+    assert not seen or off_px(world, runner, seen) < 5.0
+    assert sum("at rest" in r.course_text for r in seen.values()) <= 3
 
 
 def test_a_click_that_is_a_second_old_is_followed_from_its_picture_on() -> None:
