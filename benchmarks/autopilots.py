@@ -35,13 +35,13 @@ from benchmarks.click_score import FLIGHT_GOAL, POOLED_GOAL, Score, add, clicks,
 from benchmarks.machine import describe
 from benchmarks.platform_faults import BELIEVED, FAULTS, LENS
 from benchmarks.sampled_flight import Ground, Mask, SampledTracker, replace_section
-from benchmarks.sensor_faults import Disturbance, disturbed
+from benchmarks.sensor_faults import Disturbance, disturbed, moved
 from contract.camera import Camera
 from contract.feature_set import FeatureSet
 from contract.geodesy import LocalFrame
 from contract.rotations import R_ENU_NED, exp_so3, matrix_from_quaternion, mount_rotation
 from onboard.config.schema import Config, parse_config
-from onboard.events.types import Attitude, Event, Frame, PositionFix
+from onboard.events.types import Attitude, Event, Frame, GpsQuality, PositionFix
 from onboard.pipeline.pipeline import Pipeline
 from onboard.telemetry.telemetry_log import TelemetryLog
 from onboard.telemetry.tlog_reader import read_tlog
@@ -148,7 +148,7 @@ class ReplayedFlight:
         pictures: list[tuple[int, Event]] = [
             (int(t), Frame(int(t), k, np.full((1, 1), k, np.uint16).view(np.uint8))) for k, t in enumerate(stamps_ns)
         ]
-        wander = self.wander = Wander(self.rng, self.place, begin_ns - LEAD_NS, end_ns, self.spec.wander_m)
+        drift = self.drift = Wander(self.rng, self.place, begin_ns - LEAD_NS, end_ns, self.spec.wander_m)
         telemetry: list[tuple[int, Event]] = []
         last_attitude_ns = 0
         for arrival_ns, said in zip(self._log.arrival_ns, self._log.events, strict=True):
@@ -159,7 +159,7 @@ class ReplayedFlight:
                     continue
                 last_attitude_ns = said.stamp_ns
             event = disturbed(said, begin_ns, self.spec.disturbances, self.place)
-            telemetry.append((arrival_ns, wander(event) if isinstance(event, PositionFix) else event))
+            telemetry.append((arrival_ns, drift.added(event)))
         for _, event in sorted([*telemetry, *pictures], key=lambda pair: pair[0]):
             yield event
 
@@ -193,13 +193,18 @@ class Wander:
         out: Array = self._x[k] + (s - k) * (self._x[k + 1] - self._x[k])
         return out
 
-    def __call__(self, fix: PositionFix) -> PositionFix:
-        """The same message with the error added."""
-        east, north, up = self.at(fix.stamp_ns)
-        p = self._place.to_enu(fix.lat_deg, fix.lon_deg, fix.height_amsl_m) + [east, north, up]
-        lat, lon, height = (float(c) for c in self._place.to_geodetic(p))
-        above = None if fix.height_above_home_m is None else fix.height_above_home_m + up
-        return replace(fix, lat_deg=lat, lon_deg=lon, height_amsl_m=height, height_above_home_m=above)
+    def added(self, event: Event) -> Event:
+        """The message with the error added, to the filter's position and to the receiver's."""
+        if isinstance(event, PositionFix):
+            return self._added(event)
+        if isinstance(event, GpsQuality) and event.fix is not None:
+            return replace(event, fix=self._added(event.fix))
+        return event
+
+    def _added(self, fix: PositionFix) -> PositionFix:
+        by_m = self.at(fix.stamp_ns)
+        above = None if fix.height_above_home_m is None else fix.height_above_home_m + float(by_m[2])
+        return replace(moved(fix, self._place, by_m), height_above_home_m=above)
 
 
 class ReplayedTracker(SampledTracker):
@@ -252,7 +257,7 @@ def _flat(scene: Scene, flight: ReplayedFlight, k: int, uv: Array) -> tuple[Arra
     log = _raw(scene.recording)
     t_ns = round((flight.begin_s + flight.times_s[k]) * 1e9)
     p = np.array([np.interp(t_ns, log[0], log[1][:, i]) for i in range(3)])
-    p = p + flight.wander.at(t_ns)
+    p = p + flight.drift.at(t_ns)
     j = min(max(int(np.searchsorted(log[2], t_ns)), 1), len(log[2]) - 1)
     R_ned_body = log[3][j if abs(log[2][j] - t_ns) < abs(log[2][j - 1] - t_ns) else j - 1]
     rays, _ = scene.camera.unproject(uv)

@@ -8,10 +8,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from contract.geodesy import LocalFrame
 from contract.rotations import exp_so3, matrix_from_quaternion, quaternion_from_matrix
-from onboard.events.types import Attitude, Event, PositionFix
+from onboard.events.types import Attitude, Event, GpsQuality, PositionFix
 
 TILT, HEADING, VELOCITY, POSITION, ATTITUDE_TIME = "tilt", "heading", "velocity", "position", "attitude_time"
 DRAG = "drag"
@@ -22,7 +23,8 @@ class Disturbance:
     """One sensor wrong by `size` for `seconds` from `begin_s` after the flight's begin.
 
     `sensor`: TILT (deg, about north and so about roll and pitch by turns), HEADING (deg), VELOCITY (m/s, towards
-    north-east), POSITION (m, towards the east, velocity right), DRAG (m/s, the same growing, as a spoofed receiver's),
+    north-east), POSITION (m, towards the east, the receiver's and the filter's, velocity right), DRAG (m/s, the same
+    growing, as a spoofed receiver's),
     ATTITUDE_TIME (s, attitude older than its stamp).
     """
 
@@ -70,7 +72,16 @@ def _by(d: Disturbance, event: Event, place: LocalFrame, after_s: float) -> Even
             return replace(event, velocity_ned_m_s=(north + d.size * 0.8, east + d.size * 0.6, down))
         if d.sensor in (POSITION, DRAG):
             moved_m = d.size if d.sensor == POSITION else d.size * after_s
-            p = place.to_enu(event.lat_deg, event.lon_deg, event.height_amsl_m) + [moved_m, 0.0, 0.0]
-            lat, lon, height = (float(c) for c in place.to_geodetic(p))
-            return replace(event, lat_deg=lat, lon_deg=lon, height_amsl_m=height)
+            return moved(event, place, np.array([moved_m, 0.0, 0.0]))
+    if isinstance(event, GpsQuality) and event.fix is not None and d.sensor in (POSITION, DRAG):
+        fix = _by(d, event.fix, place, after_s)
+        assert isinstance(fix, PositionFix)
+        return replace(event, fix=fix)
     return event
+
+
+def moved(fix: PositionFix, place: LocalFrame, by_m: NDArray[np.float64]) -> PositionFix:
+    """A position moved by (3,) ENU metres."""
+    p = place.to_enu(fix.lat_deg, fix.lon_deg, fix.height_amsl_m) + by_m
+    lat, lon, height = (float(c) for c in place.to_geodetic(p))
+    return replace(fix, lat_deg=lat, lon_deg=lon, height_amsl_m=height)

@@ -47,7 +47,8 @@ class PositionFix:
 class GpsQuality:
     """The receiver's report on itself; None where it has no value. `undulation_m` = ellipsoidal minus AMSL height.
 
-    `sigma_datum_m`: one sigma of the origin of a log's heights, one error that all of them share.
+    `sigma_datum_m`: one sigma of the origin of a log's heights, one error that all of them share. `fix`: the receiver's
+    own position and velocity, in which the autopilot's filter has no part, where this report brings a new one.
     """
 
     stamp_ns: int
@@ -58,6 +59,7 @@ class GpsQuality:
     sigma_velocity_m_s: float | None = None
     undulation_m: float | None = None
     sigma_datum_m: float | None = None
+    fix: PositionFix | None = None
 
     @property
     def has_fix(self) -> bool:

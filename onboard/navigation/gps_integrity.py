@@ -21,6 +21,7 @@ from onboard.navigation.limits import LIKELY_SIGMAS, LONG_NS, RECENT_NS
 from onboard.navigation.position_interpolation import Path, Position
 from onboard.navigation.position_jumps import PositionJumps
 from onboard.navigation.position_slip import slip_at
+from onboard.navigation.receiver_positions import ReceiverPositions
 from onboard.navigation.time_series import Series, T
 
 Array = NDArray[np.float64]
@@ -51,11 +52,13 @@ class GpsIntegrity:
         self.filter: Series[FilterStatus] = Series()
         self.positions = Path(self._gps.max_gap_s)
         self.jumps = PositionJumps(self._gps, self._was_unfit)
+        self._receiver = ReceiverPositions(self._gps, self._was_receiver_unfit)
 
     def begin(self, jumped_ns: int | None) -> None:
         """Positions come in a new frame; `jumped_ns`: when those of the old were found to be elsewhere, if so."""
         self.positions = Path(self._gps.max_gap_s)
         self.jumps.begin(jumped_ns)
+        self._receiver.begin(jumped_ns)
 
     def first_accepted(self, fixes: Series[PositionFix], now_ns: int) -> tuple[list[PositionFix], str]:
         """The first positions that may be accepted with data up to `now_ns`, and the reason if there are none.
@@ -89,9 +92,16 @@ class GpsIntegrity:
         self.quality.insert(quality.stamp_ns, quality)
         self._had_fix |= quality.has_fix
 
+    def note_receiver_position(self, stamp_ns: int, position: Position) -> None:
+        """The receiver's own position."""
+        self._receiver.insert(stamp_ns, position, self.claims(stamp_ns))
+
     def note_position(self, stamp_ns: int, position: Position) -> None:
+        """The filter's position, or the receiver's if there is no other."""
         if self.positions.insert(stamp_ns, position) == len(self.positions.stamps_ns) - 1:
-            self.jumps.append(self.positions, self.claims(stamp_ns))
+            claims = self.claims(stamp_ns)
+            self.jumps.append(self.positions, claims)
+            self._receiver.compare(self.positions, claims[0])
 
     def judge(self, moment_ns: int) -> tuple[str, float]:
         """The reason why a position at a moment is not accepted, empty if it is; one sigma (m) of its white part."""
@@ -101,15 +111,20 @@ class GpsIntegrity:
             self._receiver_fault(moment_ns)
             or self._filter_fault(moment_ns)
             or self.jumps.refusal_at(moment_ns)
+            or self._receiver.jumps.refusal_at(moment_ns)
             or (slips if slip.exceeds(self._gps.max_slip_m_s) else "")
         )
         return fault, max(self._gps.sigma_white_m, min(slip.dispersion_m, self._gps.glitch_m))
 
     def sigmas(self, moment_ns: int) -> tuple[float, float]:
-        """One sigma (m) of the Gauss-Markov error, horizontal and vertical: `claims`, and jumps left unexplained."""
+        """One sigma (m) of the Gauss-Markov error, horizontal and vertical: `claims`, and what is in doubt.
+
+        The receiver's velocity is horizontal, so its heights are not judged by it.
+        """
         horizontal_m, vertical_m = self.claims(moment_ns)
-        doubt_m = self.jumps.at(moment_ns)
-        return float(np.hypot(horizontal_m, doubt_m[0])), float(np.hypot(vertical_m, doubt_m[1]))
+        doubt_m, by_receiver_m = self.jumps.at(moment_ns), self._receiver.doubt_m(moment_ns)
+        horizontal_doubt_m = doubt_m[0] if by_receiver_m is None else by_receiver_m
+        return float(np.hypot(horizontal_m, horizontal_doubt_m)), float(np.hypot(vertical_m, doubt_m[1]))
 
     def claims(self, moment_ns: int) -> tuple[float, float]:
         """The receiver's worst claim of the last two seconds (when jammed it alternates), bounded below."""
@@ -132,13 +147,20 @@ class GpsIntegrity:
     def _was_unfit(self, start_ns: int, end_ns: int, moved_m: float) -> bool:
         """Return whether receiver or filter reported an error as large as `moved_m` in or shortly before a stretch.
 
-        The position that follows then corrects an error that was known.
+        The position that follows then corrects an error that was known. Where the receiver's own position did not jump,
+        the filter's velocity was wrong.
         """
-        claims = self.quality.between(start_ns - LONG_NS, end_ns).values
         reports = self.filter.between(start_ns - LONG_NS, end_ns).values
         return (
-            any(not q.has_fix or LIKELY_SIGMAS * (q.sigma_horizontal_m or 0.0) >= moved_m for q in claims)
+            self._was_receiver_unfit(start_ns, end_ns, moved_m)
             or not all(f.has_position for f in reports)
+            or self._receiver.was_steady(start_ns, end_ns)
+        )
+
+    def _was_receiver_unfit(self, start_ns: int, end_ns: int, moved_m: float) -> bool:
+        claims = self.quality.between(start_ns - LONG_NS, end_ns).values
+        return (
+            any(not q.has_fix or LIKELY_SIGMAS * (q.sigma_horizontal_m or 0.0) >= moved_m for q in claims)
             or self._receiver_fault(start_ns) != ""
         )
 

@@ -126,9 +126,7 @@ class Navigation:
             case PositionFix():
                 self._add_position(event)
             case GpsQuality():
-                self._integrity.note_quality(event)
-                if event.undulation_m is not None:
-                    self._undulation_m = event.undulation_m
+                self._add_quality(event)
             case FilterStatus():
                 self._integrity.filter.insert(event.stamp_ns, event)
             case Attitude():
@@ -144,6 +142,13 @@ class Navigation:
         newest_ns = self._integrity.positions.stamps_ns[-1:]
         if isinstance(event, GpsQuality | FilterStatus) and newest_ns:  # no picture may ask
             self.reason, _ = self._integrity.judge(newest_ns[0])
+
+    def _add_quality(self, quality: GpsQuality) -> None:
+        self._integrity.note_quality(quality)
+        if quality.fix is not None and self.frame is not None:
+            self._integrity.note_receiver_position(quality.fix.stamp_ns, self._in_frame(quality.fix))
+        if quality.undulation_m is not None:
+            self._undulation_m = quality.undulation_m
 
     def _add_position(self, fix: PositionFix) -> None:
         """Move the origin to an accepted position far from it; what pictures still wait for is kept if it is near."""
@@ -186,12 +191,15 @@ class Navigation:
         return self.frame.to_enu(fix.lat_deg, fix.lon_deg, fix.height_amsl_m)
 
     def _insert(self, fix: PositionFix) -> None:
+        self._integrity.note_position(fix.stamp_ns - self._latency_ns, self._in_frame(fix))
+
+    def _in_frame(self, fix: PositionFix) -> Position:
         enu, velocity = self._enu(fix), None
         if fix.velocity_ned_m_s is not None:
             velocity = self._R_frame_ned(enu) @ np.nan_to_num(fix.velocity_ned_m_s)
             if not np.isfinite(fix.velocity_ned_m_s[2]):
                 velocity[2] = np.nan
-        self._integrity.note_position(fix.stamp_ns - self._latency_ns, Position(enu, velocity, fix.height_above_home_m))
+        return Position(enu, velocity, fix.height_above_home_m)
 
     def covers(self, stamp_ns: int, delay_ns: int = 0) -> bool:
         """Return whether waiting would not improve `state_at`: data after this moment has arrived.

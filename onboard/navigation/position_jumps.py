@@ -42,6 +42,7 @@ class _Entry:
     unexplained_m: Array
     decaying_m: Array
     stretch: int
+    shared: float
 
     def decayed(self, moment_ns: int, time_s: float) -> Array:
         """The rest of the part that decays: horizontal and vertical, m."""
@@ -50,7 +51,7 @@ class _Entry:
 
     def at(self, moment_ns: int, time_s: float) -> Array:
         """One sigma of the doubt at a moment: horizontal and vertical, m."""
-        return np.asarray(np.hypot(_parts(self.unexplained_m), self.decayed(moment_ns, time_s)), float)
+        return np.asarray(np.hypot(_parts(self.unexplained_m, self.shared), self.decayed(moment_ns, time_s)), float)
 
 
 @dataclass(eq=False)
@@ -67,11 +68,16 @@ class _Episode:
 class PositionJumps:
     """Takes every newest position; knows which moments are refused, and how far positions may be off otherwise."""
 
-    def __init__(self, gps: Gps, was_unfit: Callable[[int, int, float], bool]) -> None:
-        """`was_unfit(start_ns, end_ns, moved_m)`: whether receiver or filter had reported such an error."""
-        self._gps, self._was_unfit = gps, was_unfit
+    def __init__(
+        self, gps: Gps, was_unfit: Callable[[int, int, float], bool], shared: float = SHARED_WITH_VELOCITY
+    ) -> None:
+        """`was_unfit(start_ns, end_ns, moved_m)`: whether receiver or filter had reported such an error.
+
+        `shared`: how many times as large a correction may be as what the position moves against its velocity.
+        """
+        self._gps, self._was_unfit, self._shared = gps, was_unfit, shared
         self._refused: list[tuple[int, int, str]] = []  # from, until (ns), and why
-        self._entries: list[_Entry] = [_Entry(0, np.zeros(3), np.zeros(2), 0)]
+        self._entries: list[_Entry] = [_Entry(0, np.zeros(3), np.zeros(2), 0, shared)]
         self._suspected: _Entry | None = None  # of an episode under way
         self.begin()
 
@@ -100,6 +106,10 @@ class PositionJumps:
     def stretch_at(self, moment_ns: int) -> int:
         """Counts the jumps that ended until a moment: positions on both sides of one cannot be compared."""
         return self._entry(moment_ns).stretch
+
+    def was_steady(self, start_ns: int, end_ns: int) -> bool:
+        """Return whether no position jumped between two moments, nor does one now."""
+        return self._episode is None and self.stretch_at(start_ns) == self.stretch_at(end_ns)
 
     def _entry(self, moment_ns: int) -> _Entry:
         if self._suspected is not None and self._suspected.stamp_ns <= moment_ns:
@@ -171,12 +181,14 @@ class PositionJumps:
         last, self._suspected = self._entries[-1], None
         if episode.most_m > LIKELY_SIGMAS * episode.sigma_m:
             slow = last.at(episode.start_ns, self._gps.correlation_time_s)
-            doubt = np.array([slow[0] / SHARED_WITH_VELOCITY + episode.most_m, 0.0, slow[1]])
-            self._suspected = _Entry(episode.start_ns, doubt, np.zeros(2), last.stretch)
+            doubt = np.array([slow[0] / self._shared + episode.most_m, 0.0, slow[1]])
+            self._suspected = _Entry(episode.start_ns, doubt, np.zeros(2), last.stretch, self._shared)
 
     def _add(self, start_ns: int, end_ns: int, moved_m: Array, sigma_m: float, is_sure: bool) -> None:
         """A jump (3,), ENU m, has ended; one that is not sure is too small to doubt a position for."""
-        last, self._suspected = self._entries[-1], None
+        last, suspected, self._suspected = self._entries[-1], self._suspected, None
+        if suspected is not None:
+            self._entries.append(suspected)  # what it came to in the end does not undo what it was meanwhile
         size_m = float(np.linalg.norm(moved_m))
         total = last.unexplained_m + moved_m
         left_m, before_m = float(np.linalg.norm(total)), float(np.linalg.norm(last.unexplained_m))
@@ -187,12 +199,13 @@ class PositionJumps:
         if is_sure and left_m > before_m and self._was_unfit(start_ns, end_ns, size_m):
             total = last.unexplained_m
         elif left_m <= max(LIKELY_SIGMAS * sigma_m, EXPLAINED_SHARE * self._largest_m):
-            total, decaying, self._largest_m = np.zeros(3), np.hypot(decaying, _parts(total)), 0.0
-        self._entries.append(_Entry(end_ns, total, decaying, last.stretch + (size_m > LIKELY_SIGMAS * sigma_m)))
+            total, decaying, self._largest_m = np.zeros(3), np.hypot(decaying, _parts(total, self._shared)), 0.0
+        stretch = last.stretch + (size_m > LIKELY_SIGMAS * sigma_m)
+        self._entries.append(_Entry(end_ns, total, decaying, stretch, self._shared))
         while self._entries[1].stamp_ns < end_ns - MEMORY_NS:
             del self._entries[0]
 
 
-def _parts(moved_m: Array) -> Array:
+def _parts(moved_m: Array, shared: float) -> Array:
     """Horizontal and vertical size of a jump (3,), as the correction at least that it was part of."""
-    return np.array([SHARED_WITH_VELOCITY * float(np.hypot(moved_m[0], moved_m[1])), abs(float(moved_m[2]))])
+    return np.array([shared * float(np.hypot(moved_m[0], moved_m[1])), abs(float(moved_m[2]))])

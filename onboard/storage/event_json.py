@@ -66,15 +66,18 @@ def event_schema(kind: type[Event]) -> tuple[str, str]:
             "stamp_sigma_s": {"type": "number"},
             "counts": {"type": "string"},
         }
+        schema: dict[str, Any] = {"type": "object", "properties": properties}
     else:
-        properties = {name: _schema(hint) for name, hint in _hints(kind).items()}
-    text = json.dumps({"type": "object", "properties": properties}, separators=(",", ":"))
-    return f"pointclick.{kind.__name__}", text
+        schema = _schema(kind)
+    return f"pointclick.{kind.__name__}", json.dumps(schema, separators=(",", ":"))
 
 
 def nav_event(kind: type[NavEvent], data: bytes) -> NavEvent:
     """The event that `event_json` wrote; fields added since then take their defaults. Raises InputError."""
-    content = _object(data)
+    return _nav_event(kind, _object(data))
+
+
+def _nav_event(kind: type[NavEvent], content: dict[str, Any]) -> NavEvent:
     hints, values = _hints(kind), {}
     for field in fields(kind):
         if field.name in content:
@@ -112,6 +115,8 @@ def _hints(kind: type[Event]) -> dict[str, Any]:
 def _schema(hint: Any) -> dict[str, Any]:
     if hint in _PLAIN:
         return {"type": _PLAIN[hint]}
+    if hint in CHANNELS:  # an event that is part of another
+        return {"type": "object", "properties": {name: _schema(inner) for name, inner in _hints(hint).items()}}
     origin, inner = typing.get_origin(hint), typing.get_args(hint)
     if origin is typing.Literal:
         return {"enum": list(inner)}
@@ -133,6 +138,8 @@ def _value(value: Any, hint: Any, name: str) -> Any:
         return tuple(_value(item, inner[0], name) for item in value)
     if origin is typing.Literal and value in inner:
         return value
+    if hint in CHANNELS and isinstance(value, dict):
+        return _nav_event(hint, value)
     if hint is float and isinstance(value, (int, float)) and not isinstance(value, bool):
         return value
     if hint in (int, str, bool) and type(value) is hint:

@@ -257,13 +257,21 @@ def _positions(tables: dict[str, _Table], clock: GpsClock) -> list[NavEvent]:
         return out
     gps = tables["GPS"]
     for us, row in zip(gps.boot_us.tolist(), gps.values.tolist(), strict=True):
-        if row[0] >= WITHOUT_FIX and _is_place(*row[4:7]):
-            course = math.radians(row[8])
-            north, east, down = row[7] * math.cos(course), row[7] * math.sin(course), row[9]
-            velocity = (north, east, down) if math.isfinite(north) else None
-            stamp_ns = clock.to_unix_ns(us * 1000) - round(clock.lag_s * 1e9)
-            out.append(PositionFix(stamp_ns, row[4], row[5], row[6], velocity))
+        fix = _receiver_position(us, row, clock)
+        if fix is not None:
+            out.append(fix)
     return out
+
+
+def _receiver_position(us: int, row: list[float], clock: GpsClock) -> PositionFix | None:
+    """The position and velocity of a GPS row."""
+    if not (row[0] >= WITHOUT_FIX and _is_place(*row[4:7])):
+        return None
+    course = math.radians(row[8])
+    north, east, down = row[7] * math.cos(course), row[7] * math.sin(course), row[9]
+    velocity = (north, east, down) if math.isfinite(north) else None
+    stamp_ns = clock.to_unix_ns(us * 1000) - round(clock.lag_s * 1e9)
+    return PositionFix(stamp_ns, row[4], row[5], row[6], velocity)
 
 
 def _attitudes(tables: dict[str, _Table], clock: GpsClock) -> list[NavEvent]:
@@ -285,7 +293,8 @@ def _qualities(gps: _Table, gpa: _Table, clock: GpsClock) -> list[NavEvent]:
     out: list[NavEvent] = []
     moved_us, last_ms = 0, math.nan
     for us, row in zip(gps.boot_us.tolist(), gps.values.tolist(), strict=True):
-        if row[1] != last_ms:
+        is_new = row[1] != last_ms
+        if is_new:
             moved_us, last_ms = us, row[1]
         fix_type = int(row[0]) if math.isfinite(row[0]) and us - moved_us <= FROZEN_GPS_NS // 1000 else 0
         claim = [math.nan] * 4
@@ -296,7 +305,9 @@ def _qualities(gps: _Table, gpa: _Table, clock: GpsClock) -> list[NavEvent]:
         known = fix_type >= WITHOUT_FIX and abs(undulation) < 150.0  # unknown is the least integer
         sigmas = [_known(value) or None for value in claim[:3]]
         satellites = int(row[3]) if math.isfinite(row[3]) else None
-        quality = GpsQuality(clock.to_unix_ns(us * 1000), fix_type, satellites, sigmas[0], sigmas[1], sigmas[2])
+        fix = _receiver_position(us, row, clock) if is_new else None
+        stamp_ns = clock.to_unix_ns(us * 1000)
+        quality = GpsQuality(stamp_ns, fix_type, satellites, sigmas[0], sigmas[1], sigmas[2], fix=fix)
         out.append(replace(quality, undulation_m=undulation) if known else quality)
     return out
 

@@ -106,9 +106,9 @@ class MessageToEvent:
             now_ns = arrival_ns if self._latest_boot_ns is None else to_host_ns(self._latest_boot_ns)
             if name != "GPS_RAW_INT":
                 return [_filter_status(message, now_ns)]
-            fix = _receiver_position(message, now_ns, to_host_ns) if self.sources.position == name else None
-            quality = self._quality(message, now_ns)
-            return [quality] if fix is None else [quality, fix]
+            fix = _receiver_position(message, now_ns, to_host_ns)
+            quality = self._quality(message, now_ns, fix)
+            return [quality] if fix is None or self.sources.position != name else [quality, fix]
         if boot_ns is None:
             return []
         if name == "GLOBAL_POSITION_INT" and self.sources.position == name:
@@ -123,8 +123,9 @@ class MessageToEvent:
             event = _range(message, to_host_ns(boot_ns))
         return [] if event is None else [event]
 
-    def _quality(self, message: Any, now_ns: int) -> GpsQuality:
+    def _quality(self, message: Any, now_ns: int, fix: PositionFix | None) -> GpsQuality:
         stamp_us = int(message.time_usec)
+        is_new = stamp_us != self._gps_stamp_us  # it is sent again and again as it was
         if stamp_us != self._gps_stamp_us or stamp_us == 0:
             self._gps_stamp_us, self._gps_moved_ns = stamp_us, now_ns
         frozen = now_ns - self._gps_moved_ns > FROZEN_GPS_NS
@@ -139,6 +140,7 @@ class MessageToEvent:
             _claim(message, "v_acc"),
             _claim(message, "vel_acc"),
             (ellipsoid_mm - message.alt) / 1000.0 if known else None,
+            fix=fix if is_new else None,
         )
 
 

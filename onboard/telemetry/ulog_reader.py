@@ -194,32 +194,36 @@ def _positions(topics: dict[str, _Topic], gps: _Topic, clock: GpsClock) -> list[
     valid = (position.column("lat_lon_valid", unknown=1.0) != 0) & (position.column("alt_valid", unknown=1.0) != 0)
     delay_ns = 0
     if not len(position):
-        position, velocity = gps, gps.columns("vel_n_m_s", "vel_e_m_s", "vel_d_m_s")
+        position, velocity = gps, _receiver_velocity(gps)
         valid = gps.column("fix_type", unknown=0.0) >= FIX
-        velocity[gps.column("vel_ned_valid", unknown=1.0) == 0] = np.nan
         delay_ns = round(clock.lag_s * 1e9)
     homes = topics["home_position"]
     home_m = homes.column("alt")[homes.column("valid_alt", unknown=1.0) != 0]
     ground_m = float(home_m[0]) if len(home_m) else math.nan
-    lat, lon, height = _place(position)
     out: list[NavEvent] = []
     for us, place, v, is_valid in zip(
-        position.boot_us.tolist(), np.stack([lat, lon, height], -1).tolist(), velocity.tolist(), valid, strict=True
+        position.boot_us.tolist(), np.stack(_place(position), -1).tolist(), velocity.tolist(), valid, strict=True
     ):
-        is_place = is_valid and (place[0], place[1]) != (0.0, 0.0) and abs(place[0]) <= 90 and abs(place[1]) <= 180
-        if is_place and math.isfinite(place[2]):
-            above_m = place[2] - ground_m
-            out.append(
-                PositionFix(
-                    clock.to_unix_ns(us * 1000) - delay_ns,
-                    place[0],
-                    place[1],
-                    place[2],
-                    (v[0], v[1], v[2]) if math.isfinite(sum(v)) else None,
-                    above_m if math.isfinite(above_m) else None,
-                )
-            )
+        fix = _fix(clock.to_unix_ns(us * 1000) - delay_ns, place, v, ground_m) if is_valid else None
+        if fix is not None:
+            out.append(fix)
     return out
+
+
+def _receiver_velocity(gps: _Topic) -> Array:
+    velocity = gps.columns("vel_n_m_s", "vel_e_m_s", "vel_d_m_s")
+    velocity[gps.column("vel_ned_valid", unknown=1.0) == 0] = np.nan
+    return velocity
+
+
+def _fix(stamp_ns: int, place: list[float], v: list[float], ground_m: float) -> PositionFix | None:
+    """A position, if it is one: 0, 0 is what is logged for nowhere."""
+    is_place = (place[0], place[1]) != (0.0, 0.0) and abs(place[0]) <= 90 and abs(place[1]) <= 180
+    if not is_place or not math.isfinite(place[2]):
+        return None
+    above_m = place[2] - ground_m
+    velocity = (v[0], v[1], v[2]) if math.isfinite(sum(v)) else None
+    return PositionFix(stamp_ns, place[0], place[1], place[2], velocity, above_m if math.isfinite(above_m) else None)
 
 
 def _attitudes(topics: dict[str, _Topic], clock: GpsClock) -> list[NavEvent]:
@@ -254,16 +258,21 @@ def _qualities(gps: _Topic, clock: GpsClock) -> list[NavEvent]:
     sigmas = gps.columns("eph", "epv", "s_variance_m_s")
     satellites = gps.column("satellites_used")
     utc_us, fix_types = gps.column("time_utc_usec", unknown=0.0), gps.column("fix_type", unknown=0.0)
+    places, velocities = np.stack(_place(gps), -1).tolist(), _receiver_velocity(gps).tolist()
     out: list[NavEvent] = []
     moved_us, last_us = 0, math.nan
     for i, us in enumerate(gps.boot_us.tolist()):
-        if utc_us[i] != last_us or utc_us[i] == 0:
+        is_new = bool(utc_us[i] != last_us or utc_us[i] == 0)
+        if is_new:
             moved_us, last_us = us, utc_us[i]
         fix_type = 0 if us - moved_us > FROZEN_GPS_NS // 1000 else int(fix_types[i])
         claims = [float(s) if math.isfinite(s) and s > 0.0 else None for s in sigmas[i]]
         known = fix_type >= FIX and math.isfinite(undulation[i])
         count = int(satellites[i]) if math.isfinite(satellites[i]) else None
-        quality = GpsQuality(clock.to_unix_ns(us * 1000), fix_type, count, claims[0], claims[1], claims[2])
+        stamp_ns = clock.to_unix_ns(us * 1000)
+        is_fix = is_new and fix_type >= FIX
+        fix = _fix(stamp_ns - round(clock.lag_s * 1e9), places[i], velocities[i], math.nan) if is_fix else None
+        quality = GpsQuality(stamp_ns, fix_type, count, claims[0], claims[1], claims[2], fix=fix)
         out.append(replace(quality, undulation_m=float(undulation[i])) if known else quality)
     return out
 
