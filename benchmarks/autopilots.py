@@ -5,8 +5,9 @@
 
 Position, velocity and attitude are what ArduPilot or PX4 sent, with all of its errors, none of which we chose; a
 sampled Gauss-Markov error is added to the position, for one flight is only one sample of its GPS, and simulators of
-receivers hold none that lasts; every draw of every recording has one of its own. Features are points of
-simulated ground with pixel noise (`sampled_flight`), so that a flight of minutes takes seconds. Printed for every
+receivers hold none that lasts; every draw of every recording has one of its own. Where a recording holds such an
+error (its .events.json, horizontal), only the part that it lacks is added. Features are points of simulated ground
+with pixel noise (`sampled_flight`), so that a flight of minutes takes seconds. Printed for every
 scene: the share answered, median and 90 % error next to what the flat ray gives (the autopilot's own pose, the true
 mount, level ground at home's height), the share inside the 90 % ellipse by bank, inside the 99 % ellipse, the worst
 error over its 90 % ellipse, both medians beyond what the position was off by at that moment, and what was estimated of
@@ -20,6 +21,7 @@ from __future__ import annotations
 import argparse
 import functools
 import itertools
+import json
 import multiprocessing
 import time
 import zlib
@@ -82,7 +84,7 @@ class Scene:
     rises_towards_deg: float = 36.9  # counted from north
     ground: type[Ground] = Ground  # `Valley`: the slope on either side of a line through the first place
     disturbances: tuple[Disturbance, ...] = ()
-    wander_m: float = 1.5
+    position_error_m: float = 1.5
     pixel_sigma_px: float = 0.3
     outlier_share: float = 0.03
     camera: Camera = field(default_factory=lambda: LENS)
@@ -97,6 +99,19 @@ def recording(name: str) -> tuple[TelemetryLog, RecordedTruth]:
     """A recording's telemetry and truth."""
     log, truth = find_recording(name)
     return read_tlog(log), RecordedTruth.read(truth)
+
+
+OWN_ERROR = "gps_wander_m_and_time_s"  # an entry of .events.json
+VERTICAL = 1.6  # times as large an error of positions is vertically
+
+
+def own_error_m(name: str) -> float:
+    """One sigma of the correlated horizontal error that a recording's simulated receiver had; 0 if it had none."""
+    log, _ = find_recording(name)
+    settings = log.with_suffix(".events.json")
+    stated = json.loads(settings.read_text()) if settings.is_file() else {}
+    # A list has what was changed in flight, by parameters, which such an error is not.
+    return float(stated[OWN_ERROR][0]) if isinstance(stated, dict) and OWN_ERROR in stated else 0.0
 
 
 class ReplayedFlight:
@@ -148,7 +163,9 @@ class ReplayedFlight:
         pictures: list[tuple[int, Event]] = [
             (int(t), Frame(int(t), k, np.full((1, 1), k, np.uint16).view(np.uint8))) for k, t in enumerate(stamps_ns)
         ]
-        drift = self.drift = Wander(self.rng, self.place, begin_ns - LEAD_NS, end_ns, self.spec.wander_m)
+        asked_m, own_m = self.spec.position_error_m, own_error_m(self.spec.recording)
+        sigmas_m = float(np.sqrt(max(asked_m**2 - own_m**2, 0.0))), VERTICAL * asked_m
+        drift = self.drift = CorrelatedError(self.rng, self.place, begin_ns - LEAD_NS, end_ns, sigmas_m)
         telemetry: list[tuple[int, Event]] = []
         last_attitude_ns = 0
         for arrival_ns, said in zip(self._log.arrival_ns, self._log.events, strict=True):
@@ -173,10 +190,12 @@ def _cameras(scene: Scene, trajectory: Trajectory, R_body_cam: Array, times_s: A
     return [scene.camera] * len(times_s)
 
 
-class Wander:
-    """A Gauss-Markov error of 60 s, sampled once a second, added to positions; 1.6 times as large vertically."""
+class CorrelatedError:
+    """A Gauss-Markov error of 60 s, sampled once a second, added to positions; its sigmas horizontal and vertical."""
 
-    def __init__(self, rng: np.random.Generator, place: LocalFrame, begin_ns: int, end_ns: int, sigma_m: float) -> None:
+    def __init__(
+        self, rng: np.random.Generator, place: LocalFrame, begin_ns: int, end_ns: int, sigmas_m: tuple[float, float]
+    ) -> None:
         self._place, self._begin_ns = place, begin_ns
         n = (end_ns - begin_ns) // 1_000_000_000 + 3
         keep = np.exp(-1.0 / 60.0)
@@ -184,7 +203,7 @@ class Wander:
         x[0] = rng.standard_normal(3)
         for k in range(1, n):
             x[k] = keep * x[k - 1] + np.sqrt(1.0 - keep**2) * rng.standard_normal(3)
-        self._x = x * sigma_m * np.array([1.0, 1.0, 1.6])
+        self._x = x * np.array([sigmas_m[0], sigmas_m[0], sigmas_m[1]])
 
     def at(self, stamp_ns: int) -> Array:
         """(3,) ENU metres."""
@@ -316,7 +335,7 @@ def jobs_of(args: argparse.Namespace) -> list[Job]:
         config = replace_section(replace_section(base, "mount", **MOUNTS[mount]), "solve", **SENSORS[sensors])
         config = replace_section(config, "camera", **BELIEVED.get(fault, {}))
         start_s = STARTS[name] if args.start is None else args.start
-        scene = Scene(name, config, start_s, args.seconds, wander_m=args.position_error)
+        scene = Scene(name, config, start_s, args.seconds, position_error_m=args.position_error)
         scene = replace(scene, **FAULTS[fault])
         seeds = range(seed_of(name, args.seed), seed_of(name, args.seed) + args.draws)
         jobs += [(f"{name} {mount} {sensors} {fault}", scene, seed) for seed in seeds]
@@ -379,7 +398,7 @@ def arguments(argv: list[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--draws", type=int, default=1)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument(
-        "--position-error", type=float, default=Scene.wander_m, help="one sigma added to positions, m; 0: as recorded"
+        "--position-error", type=float, default=Scene.position_error_m, help="one sigma of positions, m; 0: as recorded"
     )
     parser.add_argument("--set", default="", help="TOML put over the defaults")
     parser.add_argument("--jobs", type=int, default=1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 import subprocess
 import time
 from contextlib import nullcontext
@@ -479,9 +480,24 @@ def test_every_draw_of_every_recording_has_an_error_of_positions_of_its_own() ->
     assert len(jobs) == 2 * len(seeds)  # with all sensors and with two, the same flights
 
 
-@pytest.mark.parametrize(("asked", "least_m", "most_m"), [([], 0.1, 10.0), (["--position-error", "0"], 0.0, 1e-6)])
-def test_recorded_positions_have_the_error_that_was_asked_for(asked: list[str], least_m: float, most_m: float) -> None:
-    recording = str(Path(__file__).parent / "data" / "plane_turn")
+@pytest.mark.parametrize(
+    ("asked", "settings", "least_m", "most_m"),
+    [
+        ([], "", 0.1, 10.0),
+        (["--position-error", "0"], "", 0.0, 1e-6),
+        ([], '[{"param": "SIM_GPS1_JAM"}]', 0.1, 10.0),  # changed in flight
+        ([], '{"gps_wander_m_and_time_s": [1.5, 60.0]}', 0.0, 1e-6),  # what the recording has already
+        (["--position-error", "3"], '{"gps_wander_m_and_time_s": [1.5, 60.0]}', 0.1, 10.0),
+    ],
+)
+def test_recorded_positions_have_the_horizontal_error_that_was_asked_for(
+    tmp_path: Path, asked: list[str], settings: str, least_m: float, most_m: float
+) -> None:
+    recording = str(tmp_path / "plane_turn")
+    for ending in (".tlog", ".truth.csv"):
+        shutil.copy(Path(__file__).parent / "data" / f"plane_turn{ending}", tmp_path)
+    if settings:
+        Path(recording + ".events.json").write_text(settings)
     args = ["--recordings", recording, "--start", "10", "--seconds", "20", "--sensors", "full", *asked]
     [(_, scene, seed)] = autopilots.jobs_of(autopilots.arguments(args))
     flight = autopilots.ReplayedFlight(scene, seed)
@@ -489,8 +505,8 @@ def test_recorded_positions_have_the_error_that_was_asked_for(asked: list[str], 
     recorded = [e for e in autopilots.recording(recording)[0].events if isinstance(e, PositionFix)]
     off_m = [
         np.linalg.norm(
-            flight.place.to_enu(*(getattr(given[e.stamp_ns], c) for c in ("lat_deg", "lon_deg", "height_amsl_m")))
-            - flight.place.to_enu(e.lat_deg, e.lon_deg, e.height_amsl_m)
+            flight.place.to_enu(*(getattr(given[e.stamp_ns], c) for c in ("lat_deg", "lon_deg", "height_amsl_m")))[:2]
+            - flight.place.to_enu(e.lat_deg, e.lon_deg, e.height_amsl_m)[:2]
         )
         for e in recorded
         if e.stamp_ns in given
