@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from onboard.config.schema import Config
 from onboard.events.types import FilterStatus, GpsQuality, PositionFix
-from onboard.navigation.limits import LIKELY_SIGMAS, LONG_NS, RECENT_NS
+from onboard.navigation.limits import LIKELY_SIGMAS, LONG_NS, MEMORY_NS, RECENT_NS
 from onboard.navigation.position_interpolation import Path, Position
 from onboard.navigation.position_jumps import PositionJumps
 from onboard.navigation.position_slip import slip_at
@@ -180,14 +180,29 @@ class GpsIntegrity:
     def _filter_fault(self, moment_ns: int) -> str:
         """The autopilot's filter accepts its position and its GPS, and has since `recovery_s` ago; or never reported.
 
-        A bad report stands until a good one comes.
+        A bad report stands until a good one comes; but not that of a glitch that is over, for ArduPilot rejects its
+        receiver for ten seconds more, and calls it one for another ten.
         """
         reports = self._reports(self.filter, moment_ns, round(self._gps.recovery_s * 1e9))
-        if all(s.has_position and not s.is_glitching for s in reports):
+        if all(s.has_position and (not s.is_glitching or self._is_over(s.stamp_ns)) for s in reports):
             return ""
         if not reports[-1].has_position:
             return Refusal.NO_ABSOLUTE_POSITION
         return Refusal.FILTER_GLITCH if reports[-1].is_glitching else Refusal.RECOVERING
+
+    def _is_over(self, moment_ns: int) -> bool:
+        """Return whether what the filter calls a glitch is one that the receiver has come back from, as has the filter.
+
+        Where the receiver did not jump, which of the two was wrong cannot be determined.
+        """
+        reports = reversed(self.filter.latest(moment_ns, MEMORY_NS))
+        *_, first = itertools.takewhile(lambda report: report.is_glitching, reports)
+        doubt_m = self._receiver.doubt_m(moment_ns)
+        return (
+            doubt_m is not None
+            and doubt_m <= LIKELY_SIGMAS * self.claims(moment_ns)[0]
+            and not self._receiver.was_steady(first.stamp_ns, moment_ns)
+        )
 
     def _reports(self, series: Series[T], moment_ns: int, for_ns: int) -> list[T]:
         """Reports of so long until a moment, and the next one: it also holds for the moment before it.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -41,8 +42,12 @@ def statuses(folder: Path, keep: Callable[[NavEvent], bool]) -> list[tuple[float
 
 
 def events_ns(folder: Path) -> list[int]:
-    text = (folder / "sitl" / "plane_gps_outage.events.json").read_text()
-    return [event["unix_us"] * 1000 for event in json.loads(text)]
+    return [event["unix_us"] * 1000 for event in settings_of(folder, "plane_gps_outage")]
+
+
+def settings_of(folder: Path, name: str) -> list[dict[str, int]]:
+    """The parameters that were changed in flight."""
+    return list(json.loads((folder / "sitl" / f"{name}.events.json").read_text()))
 
 
 Share = Callable[[float, float], float]
@@ -105,6 +110,50 @@ def test_a_filter_that_does_not_believe_itself_is_not_accepted(has_position: boo
     refused = [t / 2 for t, good in enumerate(usable, start=1) if not good]
     # From the good report before it, for what it says may have been so since; until it is `recovery_s` past.
     assert refused == [4.0, 4.5, 5.0, 5.5]
+
+
+@pytest.mark.parametrize(
+    ("receiver_m", "is_accepted"),
+    [
+        pytest.param((20.0, 0.0), True, id="came back"),
+        pytest.param((20.0, 8.0), False, id="8 m away"),
+        pytest.param((0.0, 0.0), False, id="did not jump"),
+        pytest.param(None, False, id="not known"),
+    ],
+)
+def test_a_glitch_is_over_when_receiver_and_filter_are_back(
+    receiver_m: tuple[float, float] | None, is_accepted: bool
+) -> None:
+    """ArduPilot's flag stands for ten seconds more. `receiver_m`: how far off the receiver is then, and afterwards."""
+    navigation = Navigation(Config())
+    for i in range(301):
+        here = position(i / 10)
+        off_m = 0.0 if receiver_m is None or i < 50 else receiver_m[i >= 80]
+        fix = None if receiver_m is None else replace(here, lon_deg=here.lon_deg + off_m * 1.236e-5)
+        navigation.add(here)
+        navigation.add(GpsQuality(here.stamp_ns, 3, 12, fix=fix))
+        if i % 5 == 0:
+            navigation.add(FilterStatus(here.stamp_ns, True, i >= 50))
+    assert isinstance(navigation.state_at(28 * SECOND), NavState) is is_accepted
+    assert isinstance(navigation.state_at(3 * SECOND), NavState)
+
+
+def test_after_a_recorded_glitch_positions_are_accepted_once_they_have_settled(shared_data: Path) -> None:
+    """33 m for 12 s until second 136: ArduPilot rejects the right ones for three seconds and flags them until 156."""
+    log = recorded(shared_data / "sitl" / "plane_wind_noise.tlog")
+    begin_ns, over_ns = ((event["unix_us"] * 1000) for event in settings_of(shared_data, "plane_wind_noise")[:2])
+    navigation, accepted, due_ns = Navigation(Config()), [], begin_ns - 5 * SECOND
+    for event in log.events:
+        if not begin_ns - 30 * SECOND < event.stamp_ns < over_ns + 30 * SECOND:
+            continue
+        navigation.add(event)
+        if isinstance(event, PositionFix) and event.stamp_ns > due_ns + 2 * SECOND:
+            if isinstance(navigation.state_at(due_ns), NavState):
+                accepted.append((due_ns - over_ns) / 1e9)
+            due_ns += PERIOD
+    assert not [t for t in accepted if (begin_ns - over_ns) / 1e9 + 2.0 < t < 3.0]
+    assert min(t for t in accepted if t > 0.0) < 11.0
+    assert len([t for t in accepted if t > 11.0]) > 30
 
 
 def test_a_filter_content_with_itself_changes_nothing() -> None:
