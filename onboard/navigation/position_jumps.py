@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,6 +62,7 @@ class _Episode:
     before_m: Array
     is_sure: bool = False
     most_m: float = 0.0
+    largest_m: float = 0.0  # of the jumps' sum, its own part so far included
     sigma_m: float = 0.0  # the largest Gauss-Markov sigma assumed meanwhile
 
 
@@ -141,7 +142,7 @@ class PositionJumps:
             return
         self._refuse(start_ns, end_ns, f"position jumped {np.linalg.norm(miss):.0f} m against velocity, settling")
         if not velocities or not horizontal:  # else it is measured as slip
-            self._add(start_ns, end_ns, miss, sigma_m[0], True)
+            self._add(start_ns, end_ns, miss, sigma_m[0], True, [])
 
     def _lose_link(self, stamp_ns: int) -> None:
         self._deviations = deque([(stamp_ns, np.zeros(3))])  # position less integrated velocity (3,), recently
@@ -168,11 +169,13 @@ class PositionJumps:
         newest_ns, deviation = self._deviations[-1]
         moved = deviation - episode.before_m
         episode.most_m = max(episode.most_m, float(np.hypot(moved[0], moved[1])))
+        total = self._entries[-1].unexplained_m + moved
+        episode.largest_m = max(episode.largest_m, float(np.hypot(total[0], total[1])))
         episode.sigma_m = max(episode.sigma_m, sigma_m)
         episode.is_sure |= slip.exceeds(self._gps.max_slip_m_s)
         if not slipping:
             self._episode = None
-            self._add(episode.start_ns, newest_ns, moved, episode.sigma_m, episode.is_sure)
+            self._add(episode.start_ns, newest_ns, moved, episode.sigma_m, episode.is_sure, self._meanwhile(episode))
         elif episode.is_sure:
             self._suspect(episode)
 
@@ -184,11 +187,21 @@ class PositionJumps:
             doubt = np.array([slow[0] / self._shared + episode.most_m, 0.0, slow[1]])
             self._suspected = _Entry(episode.start_ns, doubt, np.zeros(2), last.stretch, self._shared)
 
-    def _add(self, start_ns: int, end_ns: int, moved_m: Array, sigma_m: float, is_sure: bool) -> None:
+    def _meanwhile(self, episode: _Episode) -> list[_Entry]:
+        """The doubt while an episode lasted, which what it came to in the end does not undo: the most its sum was."""
+        last = self._entries[-1]
+        if self._suspected is None:
+            return []
+        largest_m = max(episode.largest_m, float(np.hypot(last.unexplained_m[0], last.unexplained_m[1])))
+        decaying = last.decayed(episode.start_ns, self._gps.correlation_time_s)
+        sum_m = np.array([largest_m, 0.0, last.unexplained_m[2]])
+        return [replace(last, stamp_ns=episode.start_ns, unexplained_m=sum_m, decaying_m=decaying)]
+
+    def _add(
+        self, start_ns: int, end_ns: int, moved_m: Array, sigma_m: float, is_sure: bool, meanwhile: list[_Entry]
+    ) -> None:
         """A jump (3,), ENU m, has ended; one that is not sure is too small to doubt a position for."""
-        last, suspected, self._suspected = self._entries[-1], self._suspected, None
-        if suspected is not None:
-            self._entries.append(suspected)  # what it came to in the end does not undo what it was meanwhile
+        last, self._suspected = self._entries[-1], None
         size_m = float(np.linalg.norm(moved_m))
         total = last.unexplained_m + moved_m
         left_m, before_m = float(np.linalg.norm(total)), float(np.linalg.norm(last.unexplained_m))
@@ -201,7 +214,7 @@ class PositionJumps:
         elif left_m <= max(LIKELY_SIGMAS * sigma_m, EXPLAINED_SHARE * self._largest_m):
             total, decaying, self._largest_m = np.zeros(3), np.hypot(decaying, _parts(total, self._shared)), 0.0
         stretch = last.stretch + (size_m > LIKELY_SIGMAS * sigma_m)
-        self._entries.append(_Entry(end_ns, total, decaying, stretch, self._shared))
+        self._entries += [*meanwhile, _Entry(end_ns, total, decaying, stretch, self._shared)]
         while self._entries[1].stamp_ns < end_ns - MEMORY_NS:
             del self._entries[0]
 

@@ -152,9 +152,11 @@ TABLE = [
     ),
     # Ground shows along the track that it is steeper, and less is claimed across it. Short hills of 6 m; before (14.3)
     # was by the variogram 77 and 63 % were inside, sharpness 1.13 and 1.30.
+    # Six draws of each, for all clicks of a minute share one slope that is not known: one sigma of the share inside is
+    # 4 points, of two draws it was 8.
     Row("camera and GPS claim as much as they know over ground steeper than declared", "copter_survey", "gps", 120.0,
-        (0, 1), of_benchmark=True, others=("quad",), answered_pooled=0.55, inside=(0.851, 0.969), q90=(0.75, 1.1),
-        worst=2.0, fault="rough", long="many minutes"),
+        (0, 1, 2, 3, 4, 5), of_benchmark=True, others=("quad",), answered_pooled=0.55, inside=(0.82, 0.969),
+        q90=(0.75, 1.2), worst=2.2, fault="rough", long="many minutes"),
     # A network stream's delay may be anything up to a second: 0.45 s early or late of the middle that the configuration
     # states for a stream. Taken as linear about that middle windows were wrong for whole flights: 0.5 s off where 0.04
     # was stated. The quad climbs for 70 s, which shows little of a delay.
