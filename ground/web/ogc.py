@@ -44,6 +44,7 @@ def _marks(context: ServerContext) -> list[Mark]:
 @router.get("")
 @router.get("/")
 def landing(request: Request) -> JSONResponse:
+    """The landing page of the standard: links to all of it."""
     base = _base(request)
     links = [
         _link(base, "self", JSON, TITLE),
@@ -66,6 +67,7 @@ def api(request: Request) -> JSONResponse:
 
 @router.get("/collections")
 def collections(context: Context, request: Request) -> JSONResponse:
+    """The one collection there is, that of the pins."""
     base = _base(request)
     links = [_link(f"{base}/collections", "self", JSON, "collections")]
     return JSONResponse({"links": links, "collections": [_collection(base, _marks(context))]})
@@ -78,6 +80,7 @@ def collection(context: Context, name: str, request: Request) -> JSONResponse:
 
 @router.get("/collections/{name}/items")
 def items(context: Context, name: str, request: Request) -> JSONResponse:
+    """A page of a collection's features, as the request's parameters choose them."""
     if name != PINS:
         return _nothing(name)
     return _items(request, _marks(context))
@@ -85,6 +88,7 @@ def items(context: Context, name: str, request: Request) -> JSONResponse:
 
 @router.get("/collections/{name}/items/{pin_id}")
 def item(context: Context, name: str, pin_id: str, request: Request) -> JSONResponse:
+    """One feature by its number, or the problem with it."""
     if name != PINS:
         return _nothing(name)
     try:
