@@ -14,7 +14,7 @@ from typing import Any
 from onboard.config.schema import Config, parse_config
 from onboard.events.session_clock import SessionClock
 from onboard.events.source import State, TelemetrySource
-from onboard.events.types import Event, NavEvent
+from onboard.events.types import Event, GpsQuality, NavEvent
 from onboard.telemetry.factory import open_telemetry
 from onboard.telemetry.mavlink_events import MessageToEvent, Sources
 from simulation.autopilot.fake import FakeAutopilot
@@ -106,5 +106,7 @@ def errors_ms(got: list[NavEvent], true: list[NavEvent]) -> list[float]:
 
 
 def content(event: NavEvent) -> str:
-    """An event but for its stamp."""
+    """An event but for its stamp, and that of the receiver's position in it."""
+    if isinstance(event, GpsQuality) and event.fix is not None:
+        event = replace(event, fix=replace(event.fix, stamp_ns=0))
     return repr(replace(event, stamp_ns=0))
