@@ -27,7 +27,7 @@ class Check(NamedTuple):
     @property
     def sentences(self) -> tuple[str, str]:
         """Both, as `doctor --explain` shows them below a line."""
-        return self.looks_at, f"{self.cure}"
+        return self.looks_at, f"If bad: {self.cure}"
 
 
 # By the names of the doctor's lines; the last is no line of its own.

@@ -54,6 +54,7 @@ def test_every_line_is_explained_and_no_name_runs_into_its_text() -> None:
         assert len(messages) == len(lines) * (3 if explained else 1)
     for line, words in zip(lines, doctor.text(lines, False).splitlines(), strict=True):
         assert f" {line.name} " in words
+    assert all(check.sentences[1] == f"If bad: {check.cure}" for check in CHECKS.values())
     assert all(check.looks_at.endswith(".") and check.cure.endswith(".") for check in CHECKS.values())
 
 
