@@ -31,5 +31,5 @@ class ReportView(ABC, Generic[T]):
 
 
 def subscriptions(vehicle: str, *views: ReportView[Any]) -> dict[str, Callable[[str, bytes], object]]:
-    """What fills the views, for `SetCache`: of one vehicle, or of all with ANY_VEHICLE."""
+    """The subscriptions that fill the views, for `SetCache`: of one vehicle, or of all with ANY_VEHICLE."""
     return {view.payload.topic.key(vehicle): view.take for view in views}

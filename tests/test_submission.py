@@ -210,7 +210,7 @@ def test_a_run_takes_what_is_chosen_and_names_what_found_no_time(monkeypatch: py
     in_time = long_run("9e18", monkeypatch)
     passed = int(re.findall(r"(\d+) passed", in_time)[0])
     left_out = int(re.findall(r"(\d+) LONG TESTS LEFT OUT", in_time)[0])
-    assert "test_plane_filter.py: " in in_time and "NO TIME" not in in_time and 0 < left_out < passed
+    assert "test_plane_filter.py: " in in_time and "NO TIME" not in in_time and 0 < left_out <= 5
     late = long_run("0", monkeypatch)
     no_time = int(re.findall(r"(\d+) LONG TESTS FOUND NO TIME", late)[0])
     assert 0 < no_time < passed and int(re.findall(r"(\d+) passed", late)[0]) == passed - no_time

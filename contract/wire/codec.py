@@ -14,13 +14,7 @@ from typing import Any
 
 from contract.camera import Camera
 from contract.errors import CorruptPayload, NewerPayload, TruncatedPayload
-from contract.feature_set import (
-    COMMON_STATES,
-    DepthSource,
-    FeatureSet,
-    HeightDatum,
-    Status,
-)
+from contract.feature_set import COMMON_STATES, DepthSource, FeatureSet, HeightDatum, Status
 from contract.wire.byte_cursor import ByteCursor
 from contract.wire.clicked_code import decode_clicked, encode_clicked
 from contract.wire.common_code import common_from_numbers, common_numbers, shared_codes, shared_from_codes

@@ -12,6 +12,7 @@ import re
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -122,12 +123,8 @@ def _clickers(args: argparse.Namespace) -> Iterator[tuple[AnyClicker, AnyClicker
         with MavlinkLink(MavlinkEndpoint.parse(args.connect)) as link:
             yield AskedClicker(link, args.vehicle, max_age_s), AskedClicker(link, args.vehicle, math.inf)
     else:
-        source = source_of(args)
-        is_measured = not args.interpolated
-        yield (
-            Clicker(source, max_age_s, is_measured=is_measured),
-            Clicker(source, math.inf, is_measured=is_measured),
-        )
+        clicker = partial(Clicker, source_of(args), is_measured=not args.interpolated)
+        yield clicker(max_age_s), clicker(math.inf)
 
 
 def _run_batch(args: argparse.Namespace) -> int:

@@ -9,7 +9,7 @@ import time
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from contract.answer import EXPLANATIONS, Answer, Fix, Refusal
 from contract.feature_set import FeatureSet, Status
@@ -41,6 +41,15 @@ def add_source_arguments(parser: argparse.ArgumentParser) -> None:
     add_tls_arguments(parser)
 
 
+class Asked(NamedTuple):
+    """A picture by its number, its file or a time, else the newest; `pixel`: of it, to be measured by itself."""
+
+    frame: int | None = None
+    file: str | None = None
+    unix_s: float | None = None
+    pixel: tuple[float, float] | None = None
+
+
 class RecordedSource:
     """Pictures of a recording. Raises PointclickError for one that cannot be read, or for no such vehicle."""
 
@@ -50,18 +59,12 @@ class RecordedSource:
         self.recording = opened(path)
         self.vehicle = vehicle_of(vehicle, self.recording.vehicles)
 
-    def reply(
-        self,
-        frame: int | None = None,
-        file: str | None = None,
-        unix_s: float | None = None,
-        pixel: tuple[float, float] | None = None,
-    ) -> Reply:
-        """The set of a frame, a file or a time, or the newest; with its age. No pixel of it is measured."""
-        recording, vehicle = self.recording, self.vehicle
+    def reply(self, asked: Asked) -> Reply:
+        """The set that is asked for, with its age. No pixel of it is measured."""
+        recording, vehicle, frame, unix_s = self.recording, self.vehicle, asked.frame, asked.unix_s
         later = None
-        if file is not None:
-            found_frame = self.frame_of(file)
+        if asked.file is not None:
+            found_frame = self.frame_of(asked.file)
             if isinstance(found_frame, Refusal):
                 return Reply(found_frame)
             frame = found_frame
@@ -110,15 +113,9 @@ class LinkSource:
         self._endpoint = endpoint_of(args, self._tls)
         self._vehicle = args.vehicle
 
-    def reply(
-        self,
-        frame: int | None = None,
-        file: str | None = None,
-        unix_s: float | None = None,
-        pixel: tuple[float, float] | None = None,
-    ) -> Reply:
-        """The set of a frame or a time, or the newest; with its age. `pixel` is to be measured by itself."""
-        if file is not None:
+    def reply(self, asked: Asked) -> Reply:
+        """The set that is asked for, with its age."""
+        if asked.file is not None:
             raise UsageError(NO_NAMES)
         from ground.client import inquire  # noqa: PLC0415  zenoh is loaded only where there is a link
 
@@ -127,9 +124,9 @@ class LinkSource:
             replies = inquire(
                 self._endpoint,
                 self._vehicle or ANY_VEHICLE,
-                frame=frame,
-                unix_s=unix_s,
-                pixel=pixel,
+                frame=asked.frame,
+                unix_s=asked.unix_s,
+                pixel=asked.pixel,
                 tls=self._tls,
                 is_sole=self._vehicle is None,
                 dropped=dropped,
@@ -139,7 +136,7 @@ class LinkSource:
         Warnings().show(dropped.lines())
         reply = replies[vehicle_of(self._vehicle, sorted(replies))]
         if isinstance(reply.answer, Refusal):
-            return replace(reply, answer=replace(reply.answer, frame=frame))
+            return replace(reply, answer=replace(reply.answer, frame=asked.frame))
         return reply
 
 
@@ -173,7 +170,7 @@ class Clicker:
         unix_s: float | None = None,
     ) -> tuple[Answer, Locator | None]:
         """The answer, and what gave it, if a set did."""
-        reply = self._source.reply(frame, file, unix_s, (u_px, v_px) if self._is_measured else None)
+        reply = self._source.reply(Asked(frame, file, unix_s, (u_px, v_px) if self._is_measured else None))
         found = reply.fresh(self._max_age_s)
         if isinstance(found, Refusal):
             return found, None

@@ -19,7 +19,7 @@ STATUS_S = 1.0
 
 
 class News(NamedTuple):
-    """How a view's news go to browsers, as an event of the topic's name: looked for every `period_s`."""
+    """The form of a view's news to browsers, an event of the topic's name: looked for every `period_s`."""
 
     period_s: float
     to_json: Callable[[ServerContext, list[Any]], list[dict[str, Any]]]

@@ -19,7 +19,7 @@ from onboard.commands.preflight import (
 
 
 class Check(NamedTuple):
-    """What is looked at and its limit, and what to do where it is bad."""
+    """A line of the doctor: what is looked at and its limit, and what to do where it is bad."""
 
     looks_at: str
     cure: str

@@ -54,7 +54,7 @@ class Kind(Enum):
 
 
 Use = Kind | Topic
-"""What a message takes its bytes as: one of the kinds, or the report of a topic."""
+"""The use that a message's bytes count for: one of the kinds, or the report of a topic."""
 USES: tuple[Use, ...] = (*Kind, *REPORTS)
 
 # Each kind waits this long for bytes before new sets are held back for it. An older set has waited for its small share.

@@ -24,9 +24,6 @@ ROUNDS = 3
 LEAST_NOISE = 1e-4  # squared, of a patch of length one: no two pictures agree better
 MOST_STEP = 0.05  # of the inverse depth, relative: what runs farther has found another place
 SLOPE_SIGMA = 1.0  # of d ln w / d (x, y) about the ground's or the picture's: a roof of 45 degrees seen from above
-# By how much a variance estimated from so few differences is widened, so that 1.645 sigmas hold 90 %: Student's t.
-MOST_FREE = 30
-STUDENT_95 = stdtrit(np.arange(1, MOST_FREE + 1), 0.95) / 1.645
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +128,9 @@ def _with_errors(
     by_poses = 0.5 * sum(posed) + half_common + float((by_depth**2).sum())
     apart = np.array([float(each @ row.residual) for each, row in zip(L, rows, strict=True)])
     free = max(len(rows) - 1, 1)
-    rest = float((apart**2 / (np.array(own) + posed)).sum()) / free * float(STUDENT_95[min(free, MOST_FREE) - 1] ** 2)
+    # So few differences know their variance badly: widened so that 1.645 sigmas hold 90 % of Student's t.
+    student = float(stdtrit(free, 0.95)) / 1.645
+    rest = float((apart**2 / (np.array(own) + posed)).sum()) / free * student**2
     return Match(w, slope, by_pictures, by_poses, rest, _across(rows))
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.camera import Camera
+from contract.rotations import skew
 from onboard.measured.views import View, pixels
 
 Array = NDArray[np.float64]
@@ -77,8 +78,7 @@ def by_inverse_depth(patch: Patch, view: View, w: float) -> tuple[Array, Array]:
     x = q[:2] / q[2]
     to_pixel = np.array([view.camera.fx_px, view.camera.fy_px])[:, None] * _by_place(view.camera, x)
     by_q = to_pixel @ np.array([[1.0, 0.0, -x[0]], [0.0, 1.0, -x[1]]]) / q[2]
-    turned = np.array([[0.0, q[2], -q[1]], [-q[2], 0.0, q[0]], [q[1], -q[0], 0.0]])  # -[q]x
-    return by_q @ (-view.R @ view.centre_m), by_q @ np.concatenate([turned, -w * np.eye(3)], axis=1)
+    return by_q @ (-view.R @ view.centre_m), by_q @ np.concatenate([-skew(q), -w * np.eye(3)], axis=1)
 
 
 def by_offset(patch: Patch) -> Array:

@@ -42,16 +42,15 @@ class _Entry:
     unexplained_m: Array
     decaying_m: Array
     stretch: int
-    shared: float
 
     def decayed(self, moment_ns: int, time_s: float) -> Array:
         """The rest of the part that decays: horizontal and vertical, m."""
         out: Array = self.decaying_m * np.exp(-max(moment_ns - self.stamp_ns, 0) / 1e9 / time_s)
         return out
 
-    def at(self, moment_ns: int, time_s: float) -> Array:
+    def at(self, moment_ns: int, time_s: float, shared: float) -> Array:
         """One sigma of the doubt at a moment: horizontal and vertical, m."""
-        return np.asarray(np.hypot(_parts(self.unexplained_m, self.shared), self.decayed(moment_ns, time_s)), float)
+        return np.asarray(np.hypot(_parts(self.unexplained_m, shared), self.decayed(moment_ns, time_s)), float)
 
 
 @dataclass(eq=False)
@@ -78,7 +77,7 @@ class PositionJumps:
         """
         self._gps, self._was_unfit, self._shared = gps, was_unfit, shared
         self._refused: list[tuple[int, int, str]] = []  # from, until (ns), and why
-        self._entries: list[_Entry] = [_Entry(0, np.zeros(3), np.zeros(2), 0, shared)]
+        self._entries: list[_Entry] = [_Entry(0, np.zeros(3), np.zeros(2), 0)]
         self._suspected: _Entry | None = None  # of an episode under way
         self.begin()
 
@@ -102,7 +101,7 @@ class PositionJumps:
 
     def at(self, moment_ns: int) -> Array:
         """One sigma (m), horizontal and vertical, to be added to what is assumed of a position anyway."""
-        return self._entry(moment_ns).at(moment_ns, self._gps.correlation_time_s)
+        return self._entry(moment_ns).at(moment_ns, self._gps.correlation_time_s, self._shared)
 
     def stretch_at(self, moment_ns: int) -> int:
         """Counts the jumps that ended until a moment: positions on both sides of one cannot be compared."""
@@ -183,9 +182,9 @@ class PositionJumps:
         """While it lasts, all that it has moved by so far is in doubt."""
         last, self._suspected = self._entries[-1], None
         if episode.most_m > LIKELY_SIGMAS * episode.sigma_m:
-            slow = last.at(episode.start_ns, self._gps.correlation_time_s)
+            slow = last.at(episode.start_ns, self._gps.correlation_time_s, self._shared)
             doubt = np.array([slow[0] / self._shared + episode.most_m, 0.0, slow[1]])
-            self._suspected = _Entry(episode.start_ns, doubt, np.zeros(2), last.stretch, self._shared)
+            self._suspected = _Entry(episode.start_ns, doubt, np.zeros(2), last.stretch)
 
     def _meanwhile(self, episode: _Episode) -> list[_Entry]:
         """The doubt while an episode lasted, which what it came to in the end does not undo: the most its sum was."""
@@ -214,7 +213,7 @@ class PositionJumps:
         elif left_m <= max(LIKELY_SIGMAS * sigma_m, EXPLAINED_SHARE * self._largest_m):
             total, decaying, self._largest_m = np.zeros(3), np.hypot(decaying, _parts(total, self._shared)), 0.0
         stretch = last.stretch + (size_m > LIKELY_SIGMAS * sigma_m)
-        self._entries += [*meanwhile, _Entry(end_ns, total, decaying, stretch, self._shared)]
+        self._entries += [*meanwhile, _Entry(end_ns, total, decaying, stretch)]
         while self._entries[1].stamp_ns < end_ns - MEMORY_NS:
             del self._entries[0]
 

@@ -66,7 +66,7 @@ def earlier(pictures: Pictures, seen: Seen) -> list[Seen]:
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """How surely each pixel of a patch (S, S) shows something that was not there before, 0 to 1; and what was there."""
+    """The sureness, 0 to 1, that each pixel of a patch (S, S) shows what was not there before; and what was there."""
 
     surely: Image
     behind: Image

@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 Image = NDArray[np.float32]
 
 LEAST_SIZE_PX, USUAL_SIZE_PX, MOST_SIZE_PX = 3.0, 9.0, 48.0
+SIZE_BY_ROOT = 1.15  # of the area that it changes
 MOST_REACH_PX = 40  # that a thing is looked for about where it should be
 FASTEST_M_S = 25.0
 USUAL_M_PX = 0.15  # on the ground, where no set gives a better one
@@ -248,7 +249,7 @@ class Follower:
         return matched + share * (centre - matched), sigma * spread / float(np.hypot(sigma, spread))
 
     def _without_uncovered(self, surely: Image, at: Array) -> Image:
-        """What has changed, without the part about `at`, where the thing stood: as it leaves it uncovers ground, of
+        """The change without the part about `at`, where the thing stood: as it leaves it uncovers ground, of
         which nothing shows how it looked before. (24.20)
         """
         count, labels = cv2.connectedComponents((surely > CHANGED).astype(np.uint8))
@@ -294,24 +295,27 @@ class Follower:
             if total < 1.0:
                 break
             centre = np.array([(weight * columns).sum(), (weight * rows).sum()]) / total
-        wide = np.maximum(np.abs(rows - centre[1]), np.abs(columns - centre[0])) <= max(1.3 * self._size, 4.0)
-        seen_px = 1.15 * float(np.sqrt((changed * wide).sum()))
+        seen_px = self._size_by_area(changed, centre)
         if seen_px > MERGED * self._size:  # something else has come close: where the thing is in it is not known
             return centre + patch.corner, MERGED_SHARE * self._size
-        self._size += 0.1 * (float(np.clip(seen_px, LEAST_SIZE_PX, MOST_SIZE_PX)) - self._size)
+        self._size += 0.1 * (_within(seen_px) - self._size)
         return centre + patch.corner, SPREAD * self._size * (1.0 + self._size / LARGE_PX)
 
     def _measured(self, changed: Image, at: Array) -> bool:
         """Learn the size of a thing that stood when it was clicked from what changes as it leaves; return whether it is
         known. Until then that is no measure of where it is: it is the ground that it uncovers, too.
         """
-        rows, columns = np.mgrid[: changed.shape[0], : changed.shape[1]]
-        wide = np.maximum(np.abs(rows - at[1]), np.abs(columns - at[0])) <= max(1.3 * self._size, 4.0)
-        seen_px = float(np.clip(1.15 * np.sqrt((changed * wide).sum()), LEAST_SIZE_PX, MOST_SIZE_PX))
+        seen_px = _within(self._size_by_area(changed, at))
         gone_px = float(np.hypot(*(self._uv - self._stood)))
         self._is_size_known = seen_px <= min(MERGED * self._size, gone_px)
         self._size += 0.1 * (seen_px - self._size)
         return self._is_size_known
+
+    def _size_by_area(self, changed: Image, at: Array) -> float:
+        """The size that the area of what has changed about a place gives, px. (24.8)"""
+        rows, columns = np.mgrid[: changed.shape[0], : changed.shape[1]]
+        wide = np.maximum(np.abs(rows - at[1]), np.abs(columns - at[0])) <= max(1.3 * self._size, 4.0)
+        return SIZE_BY_ROOT * float(np.sqrt((changed * wide).sum()))
 
     def _remember(self) -> None:
         """Keep how it looks now, next to how it looked OLD_S ago."""
@@ -341,7 +345,7 @@ class Follower:
             uv = self._uv - patch.corner
             outside = np.maximum(np.maximum([left, top] - uv, uv - [left + width - 1, top + height - 1]), 0.0)
             if area >= 5 and max(width, height) <= 1.5 * MOST_SIZE_PX and np.hypot(*outside) <= 3.0:
-                self._size = float(np.clip(1.15 * np.sqrt(area), LEAST_SIZE_PX, MOST_SIZE_PX))
+                self._size = _within(SIZE_BY_ROOT * float(np.sqrt(area)))
                 if np.hypot(*(middles[k] - uv)) <= max(CLICK_REACH_PX, 0.5 * self._size):
                     self._uv = middles[k] + patch.corner
                 return True
@@ -355,6 +359,11 @@ def _likeness(search: Image, mask: Image, kernel: Image) -> Image:
     spread = np.sqrt(np.maximum(whole[1] - whole[0] ** 2, 0.25))
     out: Image = cv2.filter2D(search, cv2.CV_32F, kernel)[half:-half, half:-half] / spread
     return out
+
+
+def _within(size_px: float) -> float:
+    """The size, or the least or the most that is followed."""
+    return float(np.clip(size_px, LEAST_SIZE_PX, MOST_SIZE_PX))
 
 
 def _peak(values: Image, i: int, j: int) -> Array:

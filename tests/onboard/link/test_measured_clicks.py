@@ -26,7 +26,7 @@ ROOF, GROUND = (200.0, 85.0), (60.0, 170.0)
 
 @pytest.fixture(scope="module")
 def endpoint() -> Iterator[str]:
-    """Of an aircraft that has taken nine pictures."""
+    """The endpoint of an aircraft that has taken nine pictures."""
     at = free_endpoint()
     with Publisher("uav-1", [at], rate=Rate(1e8, 0.2, 30.0)) as link, MeasureThread(CONFIG) as measured:
         link.measure = measured.measure

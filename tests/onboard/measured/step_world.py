@@ -89,7 +89,7 @@ class World:
         return Kept(self.image(number), self.its_set(number))
 
     def its_set(self, number: int) -> FeatureSet:
-        """Of a picture: features all over it but on the roof, depths and poses with their errors."""
+        """A picture's set: features all over it but on the roof, depths and poses with their errors."""
         rng = np.random.default_rng([self.seed, 9, number])
         uv = np.stack(np.meshgrid(np.linspace(16, 303, 10), np.linspace(16, 223, 8)), axis=-1).reshape(-1, 2).round()
         uv = uv[~self.depths(number, uv)[2]]
