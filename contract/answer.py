@@ -173,7 +173,8 @@ class Fix:
         return f', "above_ground_m": {self.above_ground_m:.3f}, "sigma_above_ground_m": {self.sigma_above_ground_m:.3f}'
 
     @property
-    def _method_text(self) -> str:
+    def method_text(self) -> str:
+        """How it was found, for people: the height above the ground of what was measured, or why it was not."""
         if self.unmeasured:
             return f"{self.method} (not measured: {self.unmeasured})"
         if self.above_ground_m is None:
@@ -188,7 +189,7 @@ class Fix:
         return (
             f"{e.rounded(self.lat_deg, self.lon_deg)}  {height} +-{self.sigma_height_m:.1f} m  "
             f"{CONFIDENCE:.0%} ellipse {e.semi_major_m:.1f} x {e.semi_minor_m:.1f} m at {e.azimuth_deg:.0f} deg  "
-            f"{self._method_text}  frame {self.frame} of {self.vehicle} at {time_utc(self.capture_unix_ns)}, "
+            f"{self.method_text}  frame {self.frame} of {self.vehicle} at {time_utc(self.capture_unix_ns)}, "
             f"{age_text(self.age_s)}"
         )
 

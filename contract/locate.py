@@ -172,9 +172,15 @@ class Locator:
         click = self._click(np.asarray(uv_px, float))
         return click if isinstance(click, Status) else np.asarray(click.offset_enu_m[0], np.float64)
 
-    def difference_covariance(self, uv1_px: ArrayLike, uv2_px: ArrayLike) -> Array | None:
-        """Covariance (3, 3), m^2, of the vector between two clicks of this set; None if one has no answer."""
-        clicks = self._found(np.array([uv1_px, uv2_px], float))
+    def difference_covariance(
+        self, uv1_px: ArrayLike, uv2_px: ArrayLike, *, second: Locator | None = None
+    ) -> Array | None:
+        """Covariance (3, 3), m^2, of the vector between two clicks of this set; None if one has no answer.
+
+        `second` answers the second click: of the same set, with another pixel measured.
+        """
+        one, two = (np.asarray(uv_px, float)[None] for uv_px in (uv1_px, uv2_px))
+        clicks = _joined(self._found(one), (second or self)._found(two))
         if np.any(clicks.status != OK):
             return None
         joint = self._covariances(clicks, 2)[0]
@@ -326,8 +332,7 @@ class Locator:
             ground = _Clicks(click.status, xy, met, 1.0 / relative, variance, still, never, never)
             # The ray meets the ground at another place than below the thing: the ground is level between both.
             below = np.concatenate([click.offset_enu_m[:, :2], met[:, 2:]], axis=1)
-        both = zip(vars(click).values(), vars(ground).values(), strict=True)
-        joint = self._covariances(_Clicks(*(np.concatenate(pair) for pair in both)), 2)[0]
+        joint = self._covariances(_joined(click, ground), 2)[0]
         height_m = float(click.offset_enu_m[0, 2] - ground.offset_enu_m[0, 2])
         return height_m, math.sqrt(max(float(joint[2, 2] + joint[5, 5] - 2.0 * joint[2, 5]), 0.0))
 
@@ -366,15 +371,19 @@ class Locator:
         return out
 
     def _own_covariance(self, clicks: _Clicks, groups: tuple[int, int]) -> Array:
-        """The covariance (G, N, N) of r in G groups of N clicks: kriging's; a measured pixel shares nothing with it.
-
-        There is one measured pixel: however often it is clicked, it is the same error.
+        """The covariance (G, N, N) of r in G groups of N clicks: kriging's; a measured pixel shares nothing with it,
+        nor with another that was measured. However often it is clicked, it is the same error.
         """
-        own, measured = self._kriging.predict(clicks.xy.reshape(*groups, 2))[1], clicks.is_measured.reshape(groups)
+        xy, measured = clicks.xy.reshape(*groups, 2), clicks.is_measured.reshape(groups)
+        own, variance = self._kriging.predict(xy)[1], clicks.variance.reshape(groups)
         one, other = measured[:, :, None], measured[:, None]
-        variance = clicks.variance.reshape(groups)
+        is_same = (
+            one
+            & other
+            & (np.abs(xy[:, :, None] - xy[:, None]).max(axis=-1) < 10.0 * SAME_PX / self.feature_set.camera.focal_px)
+        )
         same = np.maximum(variance[:, :, None], variance[:, None])
-        return np.where(one & other, same, np.where(one | other, 0.0, own))
+        return np.where(is_same, same, np.where(one | other, 0.0, own))
 
 
 def _curvature(by_cause: Array, by_depth: Array, causes: Array) -> Array:
@@ -397,6 +406,11 @@ def _curvature(by_cause: Array, by_depth: Array, causes: Array) -> Array:
     values, vectors = np.linalg.eigh(total)
     out: Array = (vectors * np.maximum(values, 0.0)[..., None, :]) @ np.swapaxes(vectors, -1, -2)
     return out
+
+
+def _joined(one: _Clicks, two: _Clicks) -> _Clicks:
+    """The clicks of both."""
+    return _Clicks(*(np.concatenate(pair) for pair in zip(vars(one).values(), vars(two).values(), strict=True)))
 
 
 def _with_one(xy: Array) -> Array:

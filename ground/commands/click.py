@@ -21,7 +21,14 @@ from contract.errors import InputError, PointclickError
 from ground.commands import ANSWERED, REFUSED, WRONG_USAGE
 from ground.commands.grids import add_grid_arguments, grid_of
 from ground.commands.picture_rows import read_picture_rows
-from ground.commands.sources import AskedClicker, Clicker, RecordedSource, add_source_arguments, source_of
+from ground.commands.sources import (
+    AskedClicker,
+    Clicker,
+    RecordedSource,
+    add_interpolated_argument,
+    add_source_arguments,
+    source_of,
+)
 from ground.commands.values import age, finite, frame_number
 from ground.formats.coordinates import Grid
 from ground.formats.documents import FORMATS, Format
@@ -75,11 +82,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=age,
         help=f"refuse the newest picture if it is older; inf: never (default {MAX_AGE_S:g}, of a recording inf)",
     )
-    parser.add_argument(
-        "--interpolated",
-        action="store_true",
-        help="do not have the aircraft measure the clicked pixel itself, which takes up to 0.5 s",
-    )
+    add_interpolated_argument(parser)
     parser.add_argument("--format", choices=tuple(FORMATS), help="default: text, a batch always json")
     add_grid_arguments(parser)
 

@@ -6,11 +6,13 @@ import argparse
 import json
 import math
 import sys
+from functools import partial
 
 from contract.answer import Fix, Refusal
+from contract.errors import LinkError
 from contract.locate import Locator
 from ground.commands import ANSWERED, REFUSED
-from ground.commands.sources import Clicker, add_source_arguments, source_of
+from ground.commands.sources import Clicker, add_interpolated_argument, add_source_arguments, source_of
 from ground.commands.values import age, finite, frame_number
 from ground.freshness import MAX_AGE_S
 from ground.link_options import UsageError
@@ -19,10 +21,12 @@ from ground.two_sets import difference_covariance
 
 EXAMPLES = """\
 examples:
-  pc-ground measure 100 200 500 220                                          two pixels of the newest picture
+  pc-ground measure 100 200 130 220                                     a roof over the ground next to it
   pc-ground measure 100 200 500 220 --frame 14 --from SESSION.mcap           two pixels of one picture
   pc-ground measure 100 200 90 400 --frame 14 --frame2 30 --from SESSION.mcap    of two pictures
 """
+
+End = tuple[Locator, Fix]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -34,6 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--frame", metavar="N", type=frame_number, help="the first pixel's picture (default the newest)"
     )
     parser.add_argument("--frame2", metavar="M", type=frame_number, help="the second's (default the first's)")
+    add_interpolated_argument(parser)
     add_source_arguments(parser)
     parser.add_argument(
         "--max-age", metavar="S", type=age, help=f"refuse the newest picture if older (default {MAX_AGE_S:g})"
@@ -47,40 +52,61 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError("--frame2 needs --frame")
     if args.max_age is not None and args.frame is not None:
         raise UsageError("--max-age is about the newest picture: leave it out with --frame")
+    ends = _ends(args)
+    if isinstance(ends, int):
+        return ends
+    (first, one), (second, two) = ends
+    v = measured(first, one, (args.u1, args.v1), second, two, (args.u2, args.v2))
+    print(_json(v, one, two) if args.format == "json" else _text(v, one, two))
+    return ANSWERED
+
+
+def _ends(args: argparse.Namespace) -> tuple[End, End] | int:
+    """Both clicks' answers, each with what gave it, or the exit status where one is refused. Raises PointclickError."""
     source = source_of(args)
     usual_s = MAX_AGE_S if args.frame is None and not source.is_recorded else math.inf
-    clicker = Clicker(source, usual_s if args.max_age is None else args.max_age)
-    one, first = clicker.click(args.u1, args.v1, frame=args.frame)
+    clicker = partial(Clicker, source, is_measured=not args.interpolated)
+    one, first = clicker(usual_s if args.max_age is None else args.max_age).click(args.u1, args.v1, frame=args.frame)
     if isinstance(one, Refusal) or first is None:
         return _refused(one, "first", args.format)
     # The newest picture may be another one by now: both pixels are of the same.
-    if args.frame2 is None or args.frame2 == args.frame:
-        two, second = first.locate((args.u2, args.v2)), first
-    else:
-        found, other = clicker.click(args.u2, args.v2, frame=args.frame2)
-        if other is None:
-            return _refused(found, "second", args.format)
-        two, second = found, other
-    if isinstance(two, Refusal):
+    by_frame, frame = clicker(math.inf), first.feature_set.frame if args.frame2 is None else args.frame2
+    two, second = by_frame.click(args.u2, args.v2, frame=frame)
+    if isinstance(two, Refusal) or second is None:
         return _refused(two, "second", args.format)
-    v = measured(first, one, (args.u1, args.v1), second, two, (args.u2, args.v2))
-    print(_json(v, one, two) if args.format == "json" else text_of(v))
-    return ANSWERED
+    if first.feature_set.session != second.feature_set.session:
+        raise LinkError("the aircraft's program began again between both questions: measure again")
+    if frame == first.feature_set.frame and not is_same_set(first, second):  # it was revised in between
+        again, now = by_frame.click(args.u1, args.v1, frame=frame)
+        if isinstance(again, Fix) and now is not None:
+            one, first = again, now
+    return (first, one), (second, two)
 
 
 def measured(
     first: Locator, one: Fix, uv1_px: tuple[float, float], second: Locator, two: Fix, uv2_px: tuple[float, float]
 ) -> Vector:
     """The vector from one answered click to another; what their errors share cancels."""
-    if first is second:
-        covariance = first.difference_covariance(uv1_px, uv2_px)
+    if is_same_set(first, second):
+        covariance = first.difference_covariance(uv1_px, uv2_px, second=second)
     else:
         covariance = difference_covariance(first.feature_set, one, second.feature_set, two)
     return between(_place(one), _place(two), covariance)
 
 
+def is_same_set(first: Locator, second: Locator) -> bool:
+    """Return whether both answer by one set, whichever of its pixels were measured."""
+    a, b = first.feature_set, second.feature_set
+    return (a.vehicle, a.session, a.frame, a.revision) == (b.vehicle, b.session, b.frame, b.revision)
+
+
 def _place(fix: Fix) -> Place:
     return Place(fix.lat_deg, fix.lon_deg, fix.height_ellipsoid_m, fix.height_amsl_m, fix.covariance_enu_m2)
+
+
+def _text(v: Vector, one: Fix, two: Fix) -> str:
+    """The vector in a line, and in another how both ends were found."""
+    return f"{text_of(v)}\nfrom: {one.method_text}; to: {two.method_text}"
 
 
 def text_of(v: Vector) -> str:

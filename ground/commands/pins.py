@@ -17,7 +17,7 @@ from ground.commands import ANSWERED, REFUSED
 from ground.commands.grids import add_grid_arguments, grid_of
 from ground.commands.measure import text_of
 from ground.commands.saving import save
-from ground.commands.sources import Clicker, add_source_arguments, source_of
+from ground.commands.sources import Clicker, add_interpolated_argument, add_source_arguments, source_of
 from ground.commands.until_ended import until_ended
 from ground.commands.values import finite, frame_number, origin, pin_number, positive
 from ground.formats import geojson
@@ -132,6 +132,7 @@ def _add_pixel(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("u", metavar="U", nargs="?", type=finite, help="pixel column")
     parser.add_argument("v", metavar="V", nargs="?", type=finite, help="pixel row")
     parser.add_argument("--frame", metavar="N", type=frame_number, help="the picture (default the newest)")
+    add_interpolated_argument(parser)
     add_source_arguments(parser)
 
 
@@ -212,7 +213,8 @@ def _clicked(args: argparse.Namespace) -> PinClick | Refusal:
 def _answered(args: argparse.Namespace) -> tuple[Answer, Locator | None]:
     """Click the pixel in the picture named or the newest; the answer, and the locator that gave it."""
     source = source_of(args)
-    clicker = Clicker(source, MAX_AGE_S if args.frame is None and not source.is_recorded else math.inf)
+    max_age_s = MAX_AGE_S if args.frame is None and not source.is_recorded else math.inf
+    clicker = Clicker(source, max_age_s, is_measured=not args.interpolated)
     return clicker.click(args.u, args.v, frame=args.frame)
 
 

@@ -41,6 +41,15 @@ def add_source_arguments(parser: argparse.ArgumentParser) -> None:
     add_tls_arguments(parser)
 
 
+def add_interpolated_argument(parser: argparse.ArgumentParser) -> None:
+    """`--interpolated`, of a command that has clicked pixels measured."""
+    parser.add_argument(
+        "--interpolated",
+        action="store_true",
+        help="do not have the aircraft measure a clicked pixel itself, which takes up to 0.5 s",
+    )
+
+
 class Asked(NamedTuple):
     """A picture by its number, its file or a time, else the newest; `pixel`: of it, to be measured by itself."""
 

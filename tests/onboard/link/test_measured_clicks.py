@@ -67,6 +67,24 @@ def test_the_command_states_measured_and_interpolated_leaves_it_out(
     assert plain["method"] == "interpolated" and "unmeasured" not in plain
 
 
+def test_measure_gives_the_height_of_a_building_where_interpolation_has_none(
+    endpoint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    below = (160.0, 130.0)
+    words = ["measure", *map(str, (*below, *ROOF)), "--connect", endpoint, "--frame", str(CLICKED)]
+    assert main([*words, "--format", "json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    east_m, north_m, up_m = np.diff(WORLD.depths(CLICKED, np.array([below, ROOF]))[1], axis=0)[0]
+    assert found["height_difference_m"] == pytest.approx(up_m, abs=0.4) and up_m == pytest.approx(8.0)
+    assert found["distance_m"] == pytest.approx(np.hypot(east_m, north_m), abs=0.4)
+    assert 0.01 < found["sigma_height_difference_m"] < 0.4 < found["from"]["sigma_height_m"]
+    assert [found[end]["method"] for end in ("from", "to")] == ["measured", "measured"]
+    assert main([*words, "--interpolated", "--format", "json"]) == 0
+    assert abs(json.loads(capsys.readouterr().out)["height_difference_m"]) < 1.0
+    assert main([*words[:3], "3", "3", *words[5:]]) == 0
+    assert "not measured: border" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize("pixel", [(-7.0, 3.0), (1e300, 2.0), (float("nan"), float("nan")), (319.9, 1e4)])
 def test_hostile_pixels_get_the_set_as_ever(endpoint: str, pixel: tuple[float, float]) -> None:
     assert asked(endpoint, pixel).clicked is None

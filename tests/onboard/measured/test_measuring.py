@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
+from contract.answer import Fix
 from contract.feature_set import Measured
+from contract.locate import Locator
+from contract.rotations import exp_so3
+from onboard.measured.kept_pictures import Kept
 from onboard.measured.matching import linearised
 from onboard.measured.patches import Patch, by_inverse_depth, places
 from onboard.measured.question import Questions
 from onboard.measured.views import Features, relative_pose, view_of
-from tests.onboard.measured.step_world import CAMERA, CLICKED, World, others
+from tests.onboard.measured.step_world import CAMERA, CLICKED, PLACE, World, others
 
 ALL = np.ones(225, bool)
 
@@ -52,6 +58,42 @@ def test_a_roof_is_where_it_is_and_not_at_the_height_between_the_features() -> N
     assert words.count(Measured.MEASURED) >= 18
     assert np.abs(errors).max() < 0.01  # the roof's height is 0.08 of the camera's
     assert np.mean(np.abs(z) < 1.645) >= 0.7
+
+
+def test_the_height_between_two_clicks_is_right_within_its_sigma_and_leaves_out_what_they_share() -> None:
+    """A roof and the ground next to it, and two places across the picture; common errors are sampled."""
+    z, sigmas, separate = [], [], []
+    for seed in range(3):
+        world = World(roof_m=8.0, seed=70 + seed)
+        clicked, rest, questions = with_common_errors(world, seed), others(world), Questions()
+        for ends in (((200.0, 85.0), (160.0, 130.0)), ((40.0, 40.0), (280.0, 200.0))):
+            one, two = (Locator(questions.measured_set(clicked.its_set, uv, clicked, rest)) for uv in ends)
+            answers = one.locate(ends[0]), two.locate(ends[1])
+            apart = one.difference_covariance(*ends, second=two)
+            assert apart is not None and all(isinstance(a, Fix) and a.method == "measured" for a in answers)
+            truth = np.diff(world.depths(CLICKED, np.array(ends))[1], axis=0)[0]
+            found = np.diff([a.offset_enu_m for a in answers if isinstance(a, Fix)], axis=0)[0]
+            sigmas.append(float(np.sqrt(apart[2, 2])))
+            z.append(float(found[2] - truth[2]) / sigmas[-1])
+            separate.append(np.sqrt(sum(a.sigma_height_m**2 for a in answers if isinstance(a, Fix))))
+    assert np.abs(z).max() < 3.0 and np.sqrt(np.mean(np.square(z))) > 0.2
+    assert np.all(np.array(sigmas) < 0.5 * np.array(separate)) and np.median(sigmas) < 0.4
+
+
+def with_common_errors(world: World, seed: int) -> Kept:
+    """The clicked picture, all of whose set is off together by a sample of its nine common states."""
+    kept = world.kept(CLICKED)
+    s, rng = kept.its_set, np.random.default_rng([seed, 71])
+    e = rng.multivariate_normal(np.zeros(9), s.common_cov)
+    lat, lon, height = (float(c) for c in PLACE.to_geodetic(world.pose(CLICKED)[1] + e[:3]))
+    xy = s.camera.unproject(s.uv_px)[0][:, :2]
+    design = np.column_stack([np.ones(len(xy)), xy])
+    w = s.inverse_depth_per_m * (1.0 + design @ e[6:])
+    off = dataclasses.replace(
+        s, camera_lat_deg=lat, camera_lon_deg=lon, camera_height_m=height, R_enu_cam=exp_so3(e[3:6]) @ s.R_enu_cam,
+        inverse_depth_per_m=w, plane_per_m=np.linalg.lstsq(design, w, rcond=None)[0],
+    )  # fmt: skip
+    return Kept(kept.image, off)
 
 
 def test_next_to_an_edge_the_answer_is_of_the_click_s_own_surface_or_none() -> None:
