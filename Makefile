@@ -217,7 +217,7 @@ gstreamer:
 
 # Tests of the marker expression $(1), three at a time for two cores: many wait most of their time, and with four of
 # them what is drawn in real time fell behind. None of them is tried a second time. Those that measure real time run
-# after the others, by three workers of whom one has all those that do not mostly wait (tests/conftest.py); a bound that
+# after the others, by four workers of whom one has all those that do not mostly wait (tests/conftest.py); a bound that
 # the host broke by standing still is tried twice more, and the summary lists it. The flights that one of the two has
 # drawn are the other's too.
 # The order is ours (tests/costly_first.py), and not that of the most tests first. $(2) is what the exit codes of the
@@ -227,7 +227,7 @@ define run_tests
 	@export POINTCLICK_LONG=$(3); POINTCLICK_TEST_FLIGHTS=$$(mktemp -d) || exit 1; export POINTCLICK_TEST_FLIGHTS; \
 	trap 'rm -rf "$$POINTCLICK_TEST_FLIGHTS"' EXIT; trap 'exit 130' INT TERM; \
 	$(BIN)/python -m pytest -m "$(1) and not wall_clock" -n 3 --dist loadgroup --no-loadscope-reorder --durations=30 $(PYTEST_ARGS); parallel=$$?; \
-	$(BIN)/python -m pytest -m "$(1) and wall_clock" -n 3 --dist loadgroup --reruns 2 -rR --durations=30 $(PYTEST_ARGS); serial=$$?; \
+	$(BIN)/python -m pytest -m "$(1) and wall_clock" -n 4 --dist loadgroup --reruns 2 -rR --durations=30 $(PYTEST_ARGS); serial=$$?; \
 	case "$$parallel $$serial" in \
 		$(2)) ;; \
 		"0 5" | "5 0") echo "make $@: no test in one of the two runs: is a marker lost?" >&2; exit 1 ;; \

@@ -115,6 +115,7 @@ def test_a_ratio_to_an_earlier_commit_is_that_of_turns_side_by_side() -> None:
     assert "NOT reached" in against.report("abc1234", before, before)
 
 
+@pytest.mark.long
 def test_the_flight_in_turns_flies_with_the_code_of_the_commit_that_it_is_compared_with(tmp_path: Path) -> None:
     """Modules have other names since; before, the benchmark ended with a broken pipe."""
     has_history = ["git", "cat-file", "-e", f"{against.BASE}^{{commit}}"]
@@ -300,6 +301,7 @@ def test_results_name_no_folder_of_a_machine() -> None:
     assert str(RESULTS.parent) not in section(BENCHMARKS[0], "ran", f"{RESULTS.parent}/out/growth.png")
 
 
+@pytest.mark.long
 def test_of_a_benchmark_that_takes_too_long_what_it_printed_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("benchmarks.__main__.TIMEOUT_S", 8.0)
     endless = ("--recordings", "plane_turn", "--start", "4", "--draws", "999")  # of tests/data: there without ../shared

@@ -18,7 +18,7 @@ from tests.rest_long import rest_long
 
 ROOT = Path(__file__).resolve().parents[1]
 PARALLEL = "-n 3 --dist loadgroup --no-loadscope-reorder --durations=30"
-REAL_TIME = "-n 3 --dist loadgroup --reruns 2 -rR --durations=30"
+REAL_TIME = "-n 4 --dist loadgroup --reruns 2 -rR --durations=30"
 
 
 def make_pytest(

@@ -74,6 +74,7 @@ def body_bias_m(lever_known: bool) -> Array:
     return out
 
 
+@pytest.mark.long
 def test_a_lever_arm_that_is_known_leaves_no_bias() -> None:
     assert np.abs(body_bias_m(True)).max() < 0.06
 

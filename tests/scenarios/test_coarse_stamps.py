@@ -51,6 +51,7 @@ def late(folder: Path, behind_s: float, declared_s: float) -> Outcome:
     return click(folder, sink.by_frame, pipeline)
 
 
+@pytest.mark.long
 def test_positions_seconds_behind_their_stamps_are_waited_for() -> None:
     folder = simulated(photographs(0))
     prompt, behind = late(folder, 0.0, 0.0), late(folder, 4.0, 4.0)

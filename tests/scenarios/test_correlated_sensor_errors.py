@@ -96,6 +96,7 @@ def velocity_off(event: Event, t: float, draws: Array) -> Event:
     return replace(event, velocity_ned_m_s=(north + off[0], east + off[1], down + off[2]))
 
 
+@pytest.mark.long
 def test_in_a_climb_a_velocity_that_is_off_by_what_the_receiver_claims_is_allowed_for(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -85,8 +85,7 @@ def _simulated(fault: str, is_full: bool) -> Outcome:
 # Flights in which windows are refused and tried again take four times as long as the others; the position's fault is
 # received as the velocity's is. That the wrong sensor is found, and no other, is in short of
 # tests/onboard/estimation/test_sensor_groups.py, and in which words of tests/onboard/pipeline/test_estimates.py.
-OF_EACH = [name if name in {"none", "velocity"} else pytest.param(name, marks=pytest.mark.long) for name in FAULTS]
-AGAINST_GPS = [name if name == "velocity" else pytest.param(name, marks=pytest.mark.long) for name in FAULTS]
+OF_EACH = [name if name == "velocity" else pytest.param(name, marks=pytest.mark.long) for name in FAULTS]
 
 
 @pytest.mark.parametrize("fault", OF_EACH)
@@ -170,7 +169,7 @@ def test_a_mount_that_is_off_from_the_start_of_level_flight_is_allowed_for_or_re
     assert semi_m or "attitude or mount is off by more than can be" in pipeline.summary.refused_windows
 
 
-@pytest.mark.parametrize("fault", AGAINST_GPS)
+@pytest.mark.parametrize("fault", OF_EACH)
 def test_the_full_set_is_never_worse_than_camera_and_gps(fault: str) -> None:
     """But for what one draw makes of two medians."""
     full, gps = simulated(fault, True), simulated(fault, False)

@@ -108,6 +108,7 @@ def powered_up(events: Iterator[Event], until_s: float) -> Iterator[Event]:
         yield event
 
 
+@pytest.mark.long
 def test_a_gimbal_that_first_reports_its_power_up_attitude_is_found_afterwards() -> None:
     """After 8 s of it the camera was on a fixed mount for the whole flight, whatever pictures showed later."""
     flight = survey(seconds=18.0)
@@ -128,9 +129,10 @@ def with_yaw_zero(events: Iterator[Event], zero_deg: float, drift_deg_s: float) 
         yield event
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("zero_deg", "drift_deg_s", "sigma_deg"),
-    rest_long([(-45.0, 0.5, 45.0), (12.0, 0.0, 15.0)]),
+    [(-45.0, 0.5, 45.0), (12.0, 0.0, 15.0)],
 )
 def test_a_yaw_whose_zero_is_off_and_drifts_is_found_by_each_window(
     zero_deg: float, drift_deg_s: float, sigma_deg: float

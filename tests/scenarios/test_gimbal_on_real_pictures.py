@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from contract.camera import Camera
 from contract.feature_set import Status
@@ -35,6 +36,7 @@ class WithGimbal:
                 yield arrival_ns, GimbalAttitude(event.stamp_ns, (w, x, y, z), "earth")
 
 
+@pytest.mark.long
 def test_auto_finds_the_gimbal_soon_enough_to_keep_the_pictures_before(shared_data: Path) -> None:
     """Seven of eighteen were solved: each trial began with the configured noise and did not fit; all by 'always'."""
     config = parse_config("[mount]\npitch_deg = -70.0\ngimbal = 'auto'\n")

@@ -123,9 +123,10 @@ def test_trials_in_a_thread_give_the_same_bytes() -> None:
     assert [encode(s) for s in inline.sets.values()] == [encode(s) for s in threaded.sets.values()]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("wobble_deg", "pitch_off"),
-    rest_long([(4.0, 4.0), (1.5, 0.0), (1.5, 4.0), (1.5, 8.0), (4.0, 0.0), (4.0, 8.0)]),
+    [(4.0, 4.0), (1.5, 0.0), (1.5, 4.0), (1.5, 8.0), (4.0, 0.0), (4.0, 8.0)],
 )
 def test_a_gimbal_that_is_not_there_is_never_accepted(wobble_deg: float, pitch_off: float) -> None:
     """A fixed camera, whose mount may be declared some degrees wrong, and a gimbal's messages of always level."""

@@ -156,7 +156,8 @@ def test_a_take_off_with_a_tenth_of_wrong_tracks_is_not_called_stabilised(late_s
     assert max(found.errors_in(0.0, 60.0)) < 2.0 and len(found.errors_in(0.0, 60.0)) > 100
 
 
-@pytest.mark.parametrize("seed", rest_long([365051, 365053, 365056]))
+@pytest.mark.long
+@pytest.mark.parametrize("seed", [365051, 365053, 365056])
 def test_the_first_windows_of_a_copter_on_camera_and_gps_are_not_called_zoomed(shared_data: Path, seed: int) -> None:
     """It climbs, then flies sideways: until its orientation is found, pictures part by more than a focal length.
 

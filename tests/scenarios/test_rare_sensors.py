@@ -107,6 +107,7 @@ def answered(sensor: Rare, is_rare: bool) -> Score:
     return score
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", rest_long(SENSORS))
 def test_a_sensor_once_a_second_answers_no_less_than_none(name: str) -> None:
     """Attitude: 27 of 100 pictures of `plane_breeze` were refused as unsynchronised."""

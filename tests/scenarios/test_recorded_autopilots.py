@@ -161,7 +161,7 @@ TABLE = [
     # states for a stream. Taken as linear about that middle windows were wrong for whole flights: 0.5 s off where 0.04
     # was stated. The quad climbs for 70 s, which shows little of a delay.
     replace(STREAM, claim="the delay of a stream late is found within a minute as well as it is stated",
-            recording="plane_wind_noise", fault="stream late", seconds=60.0, long=""),
+            recording="plane_wind_noise", fault="stream late", seconds=60.0, long="a minute of it"),
     *(
         replace(STREAM, claim=f"the delay of a {fault} is found as well as it is stated, {name}", recording=name,
                 fault=fault, attitude_hz=attitude_hz, seconds=150.0 if name == "quad" else 90.0)

@@ -99,6 +99,7 @@ def test_rendered_rows_are_tracked_and_answered_as_truth_says() -> None:
     assert sigma_s < 0.01 and abs(readout_s - RENDERED.readout_s) < 3.0 * sigma_s
 
 
+@pytest.mark.long
 def test_a_vibration_is_no_reason_to_look_for_optics_that_moved(monkeypatch: pytest.MonkeyPatch) -> None:
     """Rows that swing part pictures as a zoom may: for it 19 of 28 windows were adjusted, before waves came first."""
     flight = VibratingFlight(SampledSpec(ROLLING, seconds=16.0, rate_hz=2.0, path=TURNS, readout_s=0.03), 3)

@@ -12,6 +12,7 @@ from tests.scenarios.scenario import ANSWERS, why
 from tests.scenarios.sessions import apart
 
 
+@pytest.mark.long
 def test_pictures_without_overlap_are_refused_and_the_summary_says_how_often_is_enough() -> None:
     """30 m/s, ten seconds apart, 315 m of ground on a picture: 5 % in common. Every 7.9 s a quarter would be."""
     printed = why(play(simulated(apart(10.0, 8, speed_m_s=30.0))))

@@ -25,6 +25,7 @@ def stop_and_spin(spec: PathSpec, seconds: float, seed: int) -> Trajectory:
     return Trajectory(time, np.column_stack([0.3 * np.sin(0.4 * time), north, np.full(len(time), 100.0)]), R)
 
 
+@pytest.mark.long
 def test_hover_after_a_spin_is_low_parallax(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("benchmarks.sampled_flight.fly_path", stop_and_spin)
     spec = SampledSpec(

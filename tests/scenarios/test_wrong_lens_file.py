@@ -14,7 +14,6 @@ from onboard.config.schema import parse_config
 from onboard.estimation.camera_states import COUNT
 from onboard.estimation.platform_states import STATES
 from simulation.paths import PathSpec
-from tests.rest_long import rest_long
 
 K2 = STATES + COUNT - 1
 LENS = replace(Camera.from_field_of_view(640, 480, 65.0), distortion=(0.1, -0.3, 0.0, 0.0, 0.0))
@@ -22,7 +21,8 @@ FILE = replace(LENS, distortion=(0.1, 0.05, 0.0, 0.0, 0.0), stated_sigma=UNKNOWN
 TURNS = PathSpec("turns", height_m=80.0, speed_m_s=15.0)
 
 
-@pytest.mark.parametrize("sensors", rest_long(["all", "camera and GPS"]))
+@pytest.mark.long
+@pytest.mark.parametrize("sensors", ["all", "camera and GPS"])
 def test_a_second_coefficient_seven_sigmas_off_refuses_nothing(sensors: str) -> None:
     """The real flight's file is 5.6 sigmas off in it. Held to what is assumed of lenses, 0 and 10 % were answered."""
     solve = {} if sensors == "all" else {"attitude": "none", "velocity": False}

@@ -17,7 +17,6 @@ from benchmarks.ablation_scenes import TIMED, WRONG_TRACKS
 from benchmarks.sampled_flight import SampledFlight, SampledSpec, fly
 from contract.answer import CHI2_2
 from simulation.study_window import CAMERA, Setting, begin, draw, estimate
-from tests.rest_long import rest_long
 from tests.test_platform_errors import clicks
 
 Array = NDArray[np.float64]
@@ -36,7 +35,8 @@ def ratios(seeds: Sequence[int]) -> Array:
     return np.concatenate(out)
 
 
-@pytest.mark.parametrize("seeds", rest_long([[0], range(6)]))
+@pytest.mark.long
+@pytest.mark.parametrize("seeds", [[0], range(6)])
 def test_a_hover_with_wrong_tracks_is_answered_and_its_ellipses_hold(seeds: Sequence[int]) -> None:
     ratio = ratios(seeds)
     assert 0.78 < np.mean(ratio < 1.0) < 0.97

@@ -47,6 +47,7 @@ class Held:
         self.sockets.append(made)
 
 
+@pytest.mark.long
 @pytest.mark.wall_clock
 def test_a_thousand_half_open_connections_leave_the_page_answering(simulated: Simulated, tmp_path: Path) -> None:
     page_is_built()

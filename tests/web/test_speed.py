@@ -55,6 +55,7 @@ def test_the_first_page_comes_soon_and_an_answer_at_once(bare_server: Server, ch
     assert nodes < 3000
 
 
+@pytest.mark.long
 def test_ten_thousand_pins_leave_a_click_quick(server: Server, chromium: Any) -> None:
     page = opened(chromium, server.url)
     page.wait_for_function("() => document.querySelector('#pin-count').textContent === '10000'")

@@ -41,6 +41,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "session.mcap"
 
 
+@pytest.mark.long
 def test_a_flight_with_turns_gives_a_better_camera_file(recorded: Path, tmp_path: Path) -> None:
     out = tmp_path / "camera.json"
     assert main(["calibrate", "--from", str(recorded), "--out", str(out)]) == 0

@@ -389,6 +389,7 @@ def test_recorded_attitudes_follow_the_truth(shared_data: Path, seconds: tuple[f
     assert 0.1 < yaw < 1.5
 
 
+@pytest.mark.long
 @together
 def test_lost_and_jammed_gps_is_refused_and_nothing_far_off_is_answered(shared_data: Path) -> None:
     answers, truth = replayed(shared_data, "plane_gps_outage", "", 5, (0.0, 270.0))  # a minute longer than it is jammed
