@@ -69,7 +69,7 @@ def matched(
     w, slope = start
     prior = np.diag([0.0, SLOPE_SIGMA**-2, SLOPE_SIGMA**-2])
     rows: list[Row] = []
-    N = prior
+    covariance = prior
     for _ in range(ROUNDS):
         rows = [linearised(patch, view, w, slope, window) for view in views]
         N = prior + sum(row.J.T @ row.J / row.noise for row in rows)
@@ -79,11 +79,12 @@ def matched(
         ]
         if not N[0, 0] > 0.0:
             return None
-        step = np.linalg.solve(N, toward)
+        covariance = np.linalg.inv(N)
+        step = covariance @ toward
         w, slope = w + float(step[0]), slope + step[1:]
         if not abs(w / start[0] - 1.0) < MOST_STEP:
             return None
-    return _with_errors(rows, np.linalg.inv(N)[0], views, features, w, slope)
+    return _with_errors(rows, covariance[0], views, features, w, slope)
 
 
 def linearised(patch: Patch, view: View, w: float, slope: Array, window: Mask) -> Row:

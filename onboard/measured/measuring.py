@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.feature_set import Measured
-from onboard.measured.matching import Match, matched, normalised
-from onboard.measured.patches import HALF_PX, OFFSETS, SIDE_PX, Patch, warped
+from onboard.measured.matching import Match, matched
+from onboard.measured.patches import HALF_PX, OFFSETS, SIDE_PX, Patch, Values, warped
 from onboard.measured.sweep import CORE, LEAST_VIEWS, SMALL, WHOLE, WINDOWS, agreement, steps_between, swept
 from onboard.measured.views import Features, View
 
@@ -82,7 +82,7 @@ def measure(patch: Patch, views: Sequence[View], features: Features, sought: Sou
 
 
 def _sweep(patch: Patch, views: Sequence[View], sought: Sought) -> _Swept | Measured:
-    w = steps_between(patch, views, sought.far_per_m, sought.near_per_m, sought.slope)
+    w = steps_between(patch, views, sought.far_per_m, sought.near_per_m)
     each, slope = swept(patch, views, w, sought.slope), sought.slope
     agreed = agreement(each)
     if agreed[:, 0].max() < CLEAR_AGREEMENT:  # a wall, perhaps: a patch that faces the camera
@@ -119,11 +119,7 @@ def _is_repeated(agreed: Array, k: int) -> bool:
 
 def _own(patch: Patch, views: Sequence[View], found: _Swept) -> int | None:
     """The window whose surface the click's own pixels are of; None if that is not clear. (29.6)"""
-    usable = np.flatnonzero(found.agreement >= SEES)
-    squares = np.full((len(found.w), len(OFFSETS)), np.inf)
-    noises = np.full(len(found.w), np.inf)
-    for window in usable:
-        squares[window], noises[window] = _misfit(patch, views, found, int(window))
+    squares, noises = _misfits(patch, views, found, np.flatnonzero(found.agreement >= SEES))
     about = np.array([float(ABOUT @ each) if np.isfinite(each[0]) else np.inf for each in squares])
     own = int(np.where(found.agreement >= LEAST_AGREEMENT, about, np.inf).argmin())
     elsewhere = np.abs(found.w - found.w[own]) > SAME_STEPS * found.step
@@ -141,20 +137,30 @@ def _own(patch: Patch, views: Sequence[View], found: _Swept) -> int | None:
     return WHOLE if same[:CORE].all() else 0 if same[0] else own
 
 
-def _misfit(patch: Patch, views: Sequence[View], found: _Swept, window: int) -> tuple[Array, float]:
-    """Return each pixel's misfit (225,) if it were of a window's surface, the sum of squares (grey levels) over the
-    better half of the views, and the mean square of a pixel of the window there.
+def _misfits(patch: Patch, views: Sequence[View], found: _Swept, usable: NDArray[np.intp]) -> tuple[Array, Array]:
+    """Return each pixel's misfit (W, 225) if it were of a window's surface, the sum of squares (grey levels) over the
+    better half of the views, and the mean square of a pixel of the window there (W,); infinite where not usable.
     """
-    pixels = WINDOWS[:, window] > 0.0
-    clicked, length = normalised(patch.values[pixels])
-    mean = float(patch.values[pixels].mean())
-    each = []
-    for view in views:
-        values, inside = warped(patch, view, found.w[window : window + 1], found.slope)
-        if inside[0]:
-            seen, scale = normalised(values[0][pixels])
-            gain = float(clicked @ seen) * length / scale
-            each.append((patch.values - mean - gain * (values[0] - values[0][pixels].mean())) ** 2)
-    squares = np.array(each)
-    half = np.argsort(squares @ ABOUT)[: max(LEAST_VIEWS, (len(squares) + 1) // 2)]
-    return squares[half].sum(axis=0), float(np.median(np.sort(squares[:, pixels].mean(axis=1))[: len(half)]))
+    squares = np.full((len(found.w), len(OFFSETS)), np.inf)
+    noises = np.full(len(found.w), np.inf)
+    masks = np.asarray(WINDOWS.T[usable], float)  # (U, 225)
+    clicked = patch.values - _means(patch.values, masks)
+    each = np.empty((len(views), *masks.shape))
+    whole = np.empty((len(views), len(usable)), bool)
+    for number, view in enumerate(views):
+        values, whole[number] = warped(patch, view, found.w[usable], found.slope)
+        seen = values - _means(values, masks)
+        gain = (masks * clicked * seen).sum(axis=1) / np.maximum((masks * seen**2).sum(axis=1), 1e-12)
+        each[number] = (clicked - gain[:, None] * seen) ** 2
+    for number, window in enumerate(usable):
+        of_views = each[whole[:, number], number]
+        half = np.argsort(of_views @ ABOUT)[: max(LEAST_VIEWS, (len(of_views) + 1) // 2)]
+        squares[window] = of_views[half].sum(axis=0)
+        means = np.sort(of_views[:, masks[number] > 0.0].mean(axis=1))
+        noises[window] = float(np.median(means[: len(half)]))
+    return squares, noises
+
+
+def _means(values: Values, masks: Array) -> Array:
+    """Means (U, 1) of values (225,) or (U, 225) over each mask."""
+    return np.asarray((masks * values).sum(axis=1, keepdims=True) / masks.sum(axis=1, keepdims=True), float)

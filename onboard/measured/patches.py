@@ -41,6 +41,11 @@ class Patch:
         return cls(rays, _values(image, (uv_px + OFFSETS)[None])[0])
 
 
+def middles(patch: Patch, view: View, w: Array) -> Array:
+    """Pixels (K, 2) of the click in a view if it has inverse depths w (K,). (29.1)"""
+    return pixels(view.camera, (patch.rays[0] - w[:, None] * view.centre_m) @ view.R.T)
+
+
 def places(patch: Patch, view: View, w: Array, slope: Array) -> tuple[Array, Mask]:
     """Return the patch's pixels (K, 225, 2) in a view if its middle has inverse depths w (K,), and which of these
     patches lie within the picture (K,).

@@ -117,23 +117,23 @@ def where(locator: Locator, xy: Array) -> tuple[Sought | None, float, float]:
 
 def chosen(asked: FeatureSet, others: Sequence[Kept], ray: Array, w: float) -> list[Kept]:
     """Return at most MOST_VIEWS pictures that show a ray's ground from elsewhere, spread over BASELINES, both sides."""
+    size = asked.camera.height_px, asked.camera.width_px
+    alike = [other for other in others if other.its_set.shutter is None and other.image.shape == size]
+    if not alike:
+        return []
+    poses = [relative_pose(asked, other.its_set) for other in alike]
+    R, centres_m = np.stack([R for R, _ in poses]), np.stack([centre_m for _, centre_m in poses])
     direction = ray / np.linalg.norm(ray)
-    distance_m = float(np.linalg.norm(ray)) / w
-    usable: list[tuple[float, Kept]] = []
-    first: Array | None = None
-    for other in others:
-        if other.its_set.shutter is not None or other.image.shape != (asked.camera.height_px, asked.camera.width_px):
-            continue
-        R, centre_m = relative_pose(asked, other.its_set)
-        across = (centre_m - direction * float(direction @ centre_m)) / distance_m
-        share = float(np.linalg.norm(across))
-        seen = R @ (ray - w * centre_m)
-        if not (LEAST_BASELINE < share < MOST_BASELINE and R[2, 2] > MOST_TURN_COS and seen[2] > 0.0):
-            continue
-        if not other.its_set.camera.contains(pixels(other.its_set.camera, seen[None])[0]):
-            continue
-        first = across if first is None else first
-        usable.append((share if float(across @ first) > 0.0 else -share, other))
+    across = (centres_m - np.outer(centres_m @ direction, direction)) * (w / float(np.linalg.norm(ray)))
+    share = np.linalg.norm(across, axis=1)
+    seen = np.einsum("nij,nj->ni", R, ray - w * centres_m)
+    elsewhere = (share > LEAST_BASELINE) & (share < MOST_BASELINE) & (R[:, 2, 2] > MOST_TURN_COS) & (seen[:, 2] > 0.0)
+    rows = [
+        i
+        for i in np.flatnonzero(elsewhere)
+        if alike[i].its_set.camera.contains(pixels(alike[i].its_set.camera, seen[None, i])[0])
+    ]
+    usable = [(share[i] if float(across[i] @ across[rows[0]]) > 0.0 else -share[i], alike[i]) for i in rows]
     out: dict[int, Kept] = {}
     for target in (sign * share for share in BASELINES for sign in (1.0, -1.0)):
         left = [(abs(share - target), i) for i, (share, _) in enumerate(usable) if i not in out]

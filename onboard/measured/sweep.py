@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.measured.patches import OFFSETS, Patch, Values, places, warped
+from onboard.measured.patches import OFFSETS, Patch, Values, middles, warped
 from onboard.measured.views import View
 
 Array = NDArray[np.float64]
@@ -48,10 +48,10 @@ def correlations(reference: Values, values: Values, masks: NDArray[np.float32] =
     return np.asarray(covariance / np.sqrt(np.maximum(r_square * v_square, 1e-6)), float)
 
 
-def steps_between(patch: Patch, views: Sequence[View], low: float, high: float, slope: Array) -> Array:
+def steps_between(patch: Patch, views: Sequence[View], low: float, high: float) -> Array:
     """Inverse depths (K,) from low to high, as close together as the pictures can distinguish."""
     ends = np.array([low, high])
-    travel = max(float(np.linalg.norm(np.ptp(places(patch, v, ends, slope)[0][:, 112], axis=0))) for v in views)
+    travel = max(float(np.linalg.norm(np.ptp(middles(patch, view, ends), axis=0))) for view in views)
     return np.linspace(low, high, int(np.clip(np.ceil(travel / STEP_PX) + 1, 8, MOST_STEPS)))
 
 

@@ -7,6 +7,7 @@ features has the errors that they have in common.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -70,11 +71,15 @@ class View:
     pixel_sigma_px: float
 
 
+_frame_at = lru_cache(maxsize=512)(LocalFrame)  # each click asks for those of all kept pictures
+
+
 def relative_pose(clicked: FeatureSet, other: FeatureSet) -> tuple[Array, Array]:
     """R and centre of `View`, as both sets have their poses."""
-    here = LocalFrame(clicked.camera_lat_deg, clicked.camera_lon_deg, clicked.camera_height_m)
-    moved_m = here.to_enu(other.camera_lat_deg, other.camera_lon_deg, other.camera_height_m)
-    there = LocalFrame(other.camera_lat_deg, other.camera_lon_deg, other.camera_height_m)
+    place = other.camera_lat_deg, other.camera_lon_deg, other.camera_height_m
+    here = _frame_at(clicked.camera_lat_deg, clicked.camera_lon_deg, clicked.camera_height_m)
+    there = _frame_at(*place)
+    moved_m = here.to_enu(*place)
     R_enu_other = here.R_enu_ecef @ there.R_enu_ecef.T @ other.R_enu_cam
     return R_enu_other.T @ clicked.R_enu_cam, clicked.R_enu_cam.T @ moved_m
 
