@@ -118,10 +118,10 @@ def where(locator: Locator, xy: Array) -> tuple[Sought | None, float, float]:
 def chosen(asked: FeatureSet, others: Sequence[Kept], ray: Array, w: float) -> list[Kept]:
     """Return at most MOST_VIEWS pictures that show a ray's ground from elsewhere, spread over BASELINES, both sides."""
     size = asked.camera.height_px, asked.camera.width_px
-    alike = [other for other in others if other.its_set.shutter is None and other.image.shape == size]
-    if not alike:
+    comparable = [other for other in others if other.its_set.shutter is None and other.image.shape == size]
+    if not comparable:
         return []
-    poses = [relative_pose(asked, other.its_set) for other in alike]
+    poses = [relative_pose(asked, other.its_set) for other in comparable]
     R, centres_m = np.stack([R for R, _ in poses]), np.stack([centre_m for _, centre_m in poses])
     direction = ray / np.linalg.norm(ray)
     across = (centres_m - np.outer(centres_m @ direction, direction)) * (w / float(np.linalg.norm(ray)))
@@ -131,9 +131,9 @@ def chosen(asked: FeatureSet, others: Sequence[Kept], ray: Array, w: float) -> l
     rows = [
         i
         for i in np.flatnonzero(elsewhere)
-        if alike[i].its_set.camera.contains(pixels(alike[i].its_set.camera, seen[None, i])[0])
+        if comparable[i].its_set.camera.contains(pixels(comparable[i].its_set.camera, seen[None, i])[0])
     ]
-    usable = [(share[i] if float(across[i] @ across[rows[0]]) > 0.0 else -share[i], alike[i]) for i in rows]
+    usable = [(share[i] if float(across[i] @ across[rows[0]]) > 0.0 else -share[i], comparable[i]) for i in rows]
     out: dict[int, Kept] = {}
     for target in (sign * share for share in BASELINES for sign in (1.0, -1.0)):
         left = [(abs(share - target), i) for i, (share, _) in enumerate(usable) if i not in out]

@@ -185,11 +185,11 @@ def test_the_page_has_them_as_old_and_cot_sends_no_position(sender: Sender, tmp_
         places = [source.feature_set("uav-1", r.session, r.frame) for r in source.frames("uav-1")]
         assert {s.camera_lat_deg > BASE.camera_lat_deg + 0.05 for s in places if s is not None} == {False}
 
-        def is_said() -> bool:  # yesterday's may all have come before today's
+        def is_reported() -> bool:  # yesterday's may all have come before today's
             both_days(sender)
             return any("sends sets of session" in line for line in source.damage())
 
-        assert eventually(is_said)
+        assert eventually(is_reported)
     finally:
         source.close()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as display:
