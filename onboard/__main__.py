@@ -122,13 +122,13 @@ def _add_replay(commands: Commands) -> None:
         "--telemetry",
         type=Path,
         metavar="LOG|exif",
-        help="a log: .tlog, ArduPilot .bin, PX4 .ulg, DJI .srt, .csv (docs/logs.md); exif: from the pictures",
+        help="a log: .tlog, ArduPilot .bin, PX4 .ulg, DJI .srt, tables, tracks (docs/logs.md); exif: from the pictures",
     )
     replay.add_argument(
         "--home-amsl-m",
         type=finite,
         metavar="M",
-        help="how high above sea level the take-off was, for a .srt that counts heights from there",
+        help="how high above sea level the take-off was, for a log that counts heights from there",
     )
     replay.add_argument(
         "--gps-order",

@@ -47,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="LOG",
         type=Path,
         nargs="?",
-        help="the flight's log: .srt, .bin, .tlog, .ulg, .csv (a session: its video)",
+        help="the flight's log: .srt, .bin, .tlog, .ulg, tables, tracks (a session: its video)",
     )
     parser.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE",
@@ -59,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--clock-offset", metavar="S",
         help="the camera's clock is so many seconds ahead of UTC (12.4, or 12.4+-0.5); else searched over the log",
     )  # fmt: skip
-    parser.add_argument("--home-amsl-m", metavar="M", help="the take-off's height above the sea, for a .srt without it")
+    parser.add_argument("--home-amsl-m", metavar="M", help="the take-off's height above the sea, for a log without it")
     parser.add_argument("--out", metavar="FLIGHT", type=Path, help="folder for the flight (default: with your pins)")
     opened_page.add_arguments(parser)
 

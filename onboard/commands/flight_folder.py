@@ -12,9 +12,8 @@ from pathlib import Path
 
 from contract.errors import InputError
 from onboard.camera.picture_files import PICTURE_SUFFIXES
-from onboard.telemetry.log_files import looks_like_log
+from onboard.telemetry.log_files import logs_among
 
-LOG_SUFFIXES = (".srt", ".bin", ".tlog", ".ulg", ".csv")
 DEEPEST = 4  # folders below the one that was named
 
 
@@ -57,7 +56,7 @@ def log_in_folder(folder: Path, stem: str | None = None) -> Path | None:
         entries = sorted(folder.iterdir())
     except OSError:
         return None  # of a folder that may not be read nothing is taken
-    logs = [e for e in entries if e.suffix.lower() in LOG_SUFFIXES and e.is_file() and looks_like_log(e)]
+    logs = logs_among([entry for entry in entries if entry.is_file()])
     same = [log for log in logs if stem is not None and log.stem.lower() == stem.lower()]
     found = same or logs
     if len(found) > 1:

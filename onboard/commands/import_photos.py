@@ -19,7 +19,7 @@ from onboard.camera.photo_metadata import Focal, PhotoMetadata, read_photo
 from onboard.camera.picture_files import PICTURE_SUFFIXES
 from onboard.camera.rig_bands import one_band
 from onboard.commands.camera_clock import clock_of, clock_row, photographs
-from onboard.commands.flight_folder import LOG_SUFFIXES, log_of, next_to, picture_folder
+from onboard.commands.flight_folder import log_of, next_to, picture_folder
 from onboard.commands.imported_flight import (
     SIGMA_GIMBAL_DEG,
     SIGMA_MOUNT_DEG,
@@ -30,17 +30,18 @@ from onboard.commands.imported_flight import (
     config_text,
     mount_by_log,
     optics_of,
+    options_of,
     rolling_shutter,
     sections_of,
     settings_of,
     shots_in_folder,
-    system_of,
 )
 from onboard.config.schema import parse_config
 from onboard.foreign_clock.clock_search import Stated
 from onboard.replay.photo_telemetry import datum_sigma_m, gap_to_join_s, height_amsl, photo_telemetry, side_lacking
 from onboard.replay.runner import check_overlap
 from onboard.telemetry.log_files import read_log
+from onboard.telemetry.log_formats import SUFFIXES
 from onboard.telemetry.telemetry_log import NS_PER_S, TelemetryLog
 
 MIN_PHOTOS = 3
@@ -137,6 +138,8 @@ def run(arguments: argparse.Namespace) -> int:
         *([("log", str(log_path))] if log_path is not None else []),
         *assumed,
     ]
+    if log is not None and arguments.home_amsl_m is not None:
+        flight.replay += ["--home-amsl-m", f"{arguments.home_amsl_m:g}"]
     flight.write(settings)
     frames.mkdir()
     for photo in photos:
@@ -175,9 +178,9 @@ def _log(
     if path is None:
         raise InputError(
             f"{folder}: no GPS position with a height in {photos[0].name}{side_lacking(photos[0])} and the others, and "
-            f"no log next to them: give a log of the flight ({', '.join(LOG_SUFFIXES)})"
+            f"no log next to them: give a log of the flight ({', '.join(SUFFIXES)})"
         )
-    log = read_log(path, home_amsl_m=arguments.home_amsl_m, system=system_of(settings_of(arguments.set)))
+    log = read_log(path, options_of(arguments.home_amsl_m, settings_of(arguments.set)))
     return path, log if log.shots_ns else replace(log, shots_ns=shots_in_folder(folder))
 
 

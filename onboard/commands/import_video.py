@@ -17,21 +17,22 @@ from onboard.camera.photo_lens import FULL_FRAME_DIAGONAL_MM
 from onboard.camera.photo_metadata import Focal
 from onboard.camera.video_times import creation_ns, frame_times_s, rate_text
 from onboard.commands.camera_clock import clock_of, clock_row, frames
-from onboard.commands.flight_folder import LOG_SUFFIXES, log_in_folder
+from onboard.commands.flight_folder import log_in_folder
 from onboard.commands.imported_flight import (
     ImportedFlight,
     check_out,
     config_text,
     mount_by_log,
     optics_of,
+    options_of,
     rolling_shutter,
     settings_of,
-    system_of,
 )
 from onboard.config.schema import parse_config
 from onboard.foreign_clock.clock_search import Stated
 from onboard.replay.runner import check_overlap
 from onboard.telemetry.log_files import read_log
+from onboard.telemetry.log_formats import SUFFIXES
 from onboard.telemetry.telemetry_log import NS_PER_S, TelemetryLog
 
 RATE_HZ = 5.0  # pictures taken out of a faster video: enough for the window, and for a person to look through
@@ -62,10 +63,10 @@ def run(arguments: argparse.Namespace) -> int:
     log_path = arguments.telemetry or log_in_folder(video.parent, video.stem)
     if log_path is None:
         raise InputError(
-            f"{video}: no log of the flight next to it ({', '.join(LOG_SUFFIXES)}): name one. A DJI drone writes one "
+            f"{video}: no log of the flight next to it ({', '.join(SUFFIXES)}): name one. A DJI drone writes one "
             "with 'Video Subtitles' on"
         )
-    log = read_log(log_path, home_amsl_m=arguments.home_amsl_m, system=system_of(settings))
+    log = read_log(log_path, options_of(arguments.home_amsl_m, settings))
     times_s = frame_times_s(video)
     if not times_s:
         raise InputError(f"{video}: no time stamps on its frames: give replay --stamps with index,unix_time_s")

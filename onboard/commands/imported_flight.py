@@ -20,6 +20,7 @@ from onboard.commands.flight_folder import next_to
 from onboard.config.schema import Config, parse_config, to_toml, validated
 from onboard.events.types import Attitude, GimbalAttitude
 from onboard.telemetry.mrk_reader import read_mrk
+from onboard.telemetry.read_options import ReadOptions
 from onboard.telemetry.telemetry_log import TelemetryLog
 
 # One sigma of what is not stated: where the optical axis meets a sensor (share of its width), how straight a lens for
@@ -30,7 +31,7 @@ SIGMA_CENTRE, SIGMA_K1, SIGMA_GIMBAL_DEG, SIGMA_MOUNT_DEG = 0.01, 0.03, 1.0, 5.0
 UNKNOWN_FOV_DEG, SIGMA_UNKNOWN_FOCAL, SIGMA_UNKNOWN_K1 = 70.0, 0.2, 0.1
 SIGMA_GIVEN_FOCAL = 0.03  # of a field of view that a person gives
 READOUT_S, SIGMA_READOUT_S = 0.02, 0.02  # of small cameras, which read row by row unless they state otherwise
-FOV, CAMERA_FILE = "camera.fov_deg", "camera.file"
+FOV, CAMERA_FILE, UNDULATION = "camera.fov_deg", "camera.file", "gps.undulation_m"
 UNKNOWN = "NOT KNOWN"  # how the row of a widely guessed lens begins; `pc-ground open` looks for it
 Row = tuple[str, str]
 
@@ -113,12 +114,14 @@ def settings_of(given: Sequence[str]) -> dict[str, str]:
     return out
 
 
-def system_of(settings: dict[str, str]) -> int:
-    """The vehicle's number in a log of several, if it is set; 0 if not."""
-    value = settings.get("telemetry.system", "0")
-    if not value.isdecimal():
-        raise ConfigError(f"--set telemetry.system={value}: is no whole number")
-    return int(value)
+def options_of(home_amsl_m: float | None, settings: dict[str, str]) -> ReadOptions:
+    """Statements about a log, by the take-off's height and what is set. Raises ConfigError for a wrong value."""
+    system = settings.get("telemetry.system", "0")
+    if not system.isdecimal():
+        raise ConfigError(f"--set telemetry.system={system}: is no whole number")
+    keys = {UNDULATION: settings[UNDULATION]} if UNDULATION in settings else {}
+    undulation_m = with_settings(Config(), keys).gps.undulation_m
+    return ReadOptions(home_amsl_m=home_amsl_m, system=int(system), undulation_m=undulation_m)
 
 
 def with_settings(config: Config, settings: dict[str, str]) -> Config:
@@ -250,9 +253,9 @@ def shots_in_folder(folder: Path) -> tuple[int, ...]:
 def mount_by_log(log: TelemetryLog) -> tuple[dict[str, dict[str, str]], Row]:
     """Sections of the configuration, by which angles a log has, and what they assume."""
     kinds = {type(event) for event in log.events}
-    # Subtitles are of the camera: their gimbal is what carries it. Of an autopilot's the pictures must confirm it.
-    is_of_camera = log.video_epoch_ns is not None or Attitude not in kinds
-    if GimbalAttitude in kinds and is_of_camera:
+    # Angles that the camera's own aircraft wrote are its own. Of an autopilot's the pictures must confirm it.
+    is_of_camera = any(isinstance(event, GimbalAttitude) and event.is_of_camera for event in log.events)
+    if GimbalAttitude in kinds and (is_of_camera or Attitude not in kinds):
         mount = {"pitch_deg": "-90.0", "gimbal": '"always"', "sigma_deg": f"{SIGMA_GIMBAL_DEG}"}
         return {"mount": mount}, ("mount", f"the gimbal's angles as the log states, +-{SIGMA_GIMBAL_DEG:g} deg")
     sections = {"mount": {"pitch_deg": "-90.0", "sigma_deg": f"{SIGMA_MOUNT_DEG}"}}

@@ -12,12 +12,11 @@ from contract.errors import InputError
 from onboard.camera.photo_metadata import PhotoMetadata
 from onboard.config.schema import Config
 from onboard.events.types import Attitude, GimbalAttitude, GpsQuality, PositionFix
-from onboard.telemetry.srt_reader import SIGMA_PRESSURE_HEIGHT_M
+from onboard.telemetry.log_formats import SUFFIXES
+from onboard.telemetry.row_events import SIGMA_GEOID_M, SIGMA_PRESSURE_HEIGHT_M
 from onboard.telemetry.telemetry_log import MAX_GAP_S, TelemetryLog, quaternion, vouched
 
-# A receiver's height counts from an unsaid geoid; with RTK from the ellipsoid, which lies within tens of metres of the
-# sea in most places. A drone's barometer gives a height in the standard atmosphere, see `srt_reader`.
-SIGMA_AMSL_M, SIGMA_GEOID_M = 20.0, 40.0
+SIGMA_AMSL_M = 20.0  # a receiver's height counts from an unnamed geoid
 STEP_S = 0.1  # in what is asked for, so that it reads well
 
 
@@ -32,7 +31,7 @@ def photo_telemetry(photos: list[PhotoMetadata], stamps_ns: list[int], undulatio
         side = next(side_lacking(photo) for photo in photos if photo.name == without[0])
         raise InputError(
             f"telemetry exif: no GPS position with a height in {without[0]}{side}{more}; "
-            "give a log of the flight instead (.bin, .tlog, .ulg, .srt, .csv)"
+            f"give a log of the flight instead ({', '.join(SUFFIXES)})"
         )
     is_timed = not any(photo.stamp_is_whole_s for photo in photos)
     pairs = list(zip(photos, stamps_ns, strict=True))

@@ -31,6 +31,7 @@ from onboard.pipeline.estimates import as_rows
 from onboard.replay.digital_zoom import at_one_zoom
 from onboard.replay.photo_telemetry import check_gaps, photo_telemetry
 from onboard.telemetry.log_files import read_log
+from onboard.telemetry.read_options import ReadOptions
 from onboard.telemetry.srt_axis_order import Order
 from onboard.telemetry.telemetry_log import TelemetryLog
 
@@ -76,13 +77,14 @@ class Flight:
         """Open both inputs; raises InputError, one line, if either is unusable or they do not overlap in time.
 
         `telemetry` is a log, or the word "exif": what the pictures themselves state. `home_amsl_m`, `gps_order`,
-        `boot_unix_s`: see `read_log`. `max_rate_hz`: pictures closer together are left out.
+        `boot_unix_s`: see `ReadOptions`. `max_rate_hz`: pictures closer together are left out.
         """
         if str(telemetry) == EXIF:
             return cls._of_photos(config, camera, frames, stamps, max_rate_hz)
         whole = config.camera.sigma_jitter_s >= WHOLE_SECOND_SIGMA_S
         line, gimbal = config.telemetry, config.mount.gimbal_component
-        log = read_log(telemetry, line.clock, home_amsl_m, gps_order, boot_unix_s, gimbal, line.system)
+        stated = line.clock, home_amsl_m, gps_order, boot_unix_s, gimbal, line.system, config.gps.undulation_m
+        log = read_log(telemetry, ReadOptions(*stated))
         latency_s, in_colour = config.camera.latency_s, config.recording.pictures == "jpeg"
         source = open_frames(
             frames, camera, stamps, latency_s, whole, log.video_epoch_ns, max_rate_hz, in_colour, config.thermal.enabled

@@ -5,9 +5,12 @@ Public:
 
 - `autopilot_search`: `FoundAutopilot`, `candidates`, `is_slow`, `listen`
 - `factory`: `open_telemetry`
-- `log_files`: `looks_like_log`, `read_log`
+- `geo_reader`: `GeoPlace`, `read_geo`
+- `log_files`: `format_of`, `logs_among`, `read_log`
+- `log_formats`: `SUFFIXES`
 - `mrk_reader`: `read_mrk`
+- `read_options`: `ReadOptions`
+- `row_events`: `SIGMA_GEOID_M`, `SIGMA_PRESSURE_HEIGHT_M`
 - `srt_axis_order`: `Order`
-- `srt_reader`: `SIGMA_PRESSURE_HEIGHT_M`
 - `telemetry_log`: `MAX_GAP_S`, `NS_PER_S`, `TelemetryLog`, `quaternion`, `vouched`
 """

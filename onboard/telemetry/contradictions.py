@@ -1,6 +1,9 @@
-"""Rows of a file of positions that contradict one another: a few are left out; of many, none is used."""
+"""Rows of a file that contradict one another, positions or dates: a few are left out; of many, none is used."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import UTC, datetime
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +16,7 @@ NS_PER_S = 1_000_000_000
 MAX_SPEED_M_S, SLACK_M = 300.0, 100.0  # more does not fly so; a receiver's own jumps are judged in flight, by its state
 LEAST_SHARE = 0.9  # of the rows, that agree
 TRIES = 5
+SAME_BEGINNING_NS = 10_000_000_000  # by two dates: frame rates are rounded, and an hour of them is 4 s off
 
 
 def agreeing(positions: list[PositionFix]) -> tuple[list[int], list[str]]:
@@ -43,6 +47,24 @@ def agreeing(positions: list[PositionFix]) -> tuple[list[int], list[str]]:
     if len(kept) < LEAST_SHARE * len(positions):
         raise InputError(f"positions contradict one another: {apart}; take out the rows that are wrong")
     return kept, [f"{len(out)} of {len(positions)} positions contradict the others and are not used: {apart}"]
+
+
+def beginning(began_ns: Sequence[int], what: str) -> tuple[int, list[str]]:
+    """Return when `what` began, of what each of its dates less the time since then gives (ns), and a note on dates that
+    contradict the others.
+
+    Whole seconds are cut off, never rounded up, so that the latest beginning that they allow is the best. Raises
+    InputError where dates contradict one another and too few agree.
+    """
+    began = sorted(began_ns)
+    middle_ns = began[len(began) // 2]
+    agree = [one for one in began if abs(one - middle_ns) <= SAME_BEGINNING_NS]
+    if len(agree) == len(began):
+        return began[-1], []
+    if len(agree) < LEAST_SHARE * len(began):
+        days = [f"{datetime.fromtimestamp(one // NS_PER_S, UTC):%Y-%m-%d %H:%M:%S}" for one in (began[0], began[-1])]
+        raise InputError(f"its dates contradict one another: {what} began at {days[0]} by one, at {days[1]} by another")
+    return agree[-1], [f"{len(began) - len(agree)} of {len(began)} dates contradict the others and are not used"]
 
 
 def _chain(stamps_s: list[float], places_m: NDArray[np.float64], of: list[int]) -> tuple[list[int], list[int]]:

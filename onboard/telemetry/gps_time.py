@@ -30,8 +30,12 @@ MAX_LAG_S = 1.0
 def unix_ns_of_gps(week: int, time_of_week_ms: int) -> int:
     """GPS week and its milliseconds -> Unix ns."""
     gps_ms = GPS_EPOCH_UNIX_S * 1000 + week * WEEK_S * 1000 + time_of_week_ms
-    leap_s = next(leap for since, leap in LEAP_SECONDS if gps_ms / 1000 - leap >= since)
-    return (gps_ms - leap_s * 1000) * 1_000_000
+    return (gps_ms - leap_seconds(gps_ms / 1000) * 1000) * 1_000_000
+
+
+def leap_seconds(gps_s: float) -> int:
+    """Return GPS minus UTC, s, at a GPS time that is counted as Unix time is."""
+    return next(leap for since, leap in LEAP_SECONDS if gps_s - leap >= since)
 
 
 class GpsClock:

@@ -42,7 +42,7 @@ HUNG_NS = 10 * NS_PER_S
 FIX_TYPES = {1: 3, 2: 4, 3: 3, 4: 6, 5: 5}
 NO_FIX = 1
 # Without deviations from the receiver, one sigma of a range (m) is scaled by the dilution; heights are twice as bad.
-RANGE_SIGMA_M = 2.5
+RANGE_SIGMA_M, MAX_DILUTION = 2.5, 50.0
 
 
 @dataclass
@@ -90,15 +90,9 @@ class NmeaReceiver:
         return out
 
     def _line(self, line: bytes, began_ns: int) -> list[NavEvent]:
-        start = line.rfind(b"$")
-        # The parser lets a line without a checksum pass: half a sentence would be one.
-        if start < 0 or line[-3:-2] != b"*":
+        sentence = sentence_of(line)
+        if sentence is None:
             self.errors += bool(line)
-            return []
-        try:
-            sentence = NMEAReader.parse(line[start:] + b"\r\n")
-        except (NMEAMessageError, NMEAParseError, NMEAStreamError, NMEATypeError, ValueError, ArithmeticError):
-            self.errors += 1
             return []
         kind = getattr(sentence, "msgID", "")
         return self._sentence(kind, sentence, began_ns) if kind in KINDS else []
@@ -109,7 +103,7 @@ class NmeaReceiver:
             moment = getattr(sentence, "time", None)
             if not isinstance(moment, clock_time):
                 return []  # before the first fix there is no time
-            day_ns = _day_ns(moment)
+            day_ns = day_ns_of(moment)
             if self._epoch is None or self._epoch.day_ns != day_ns:
                 out += self._finish()
                 self._epoch = _Epoch(day_ns, began_ns)
@@ -134,7 +128,9 @@ class NmeaReceiver:
         self._kinds.append(kinds)
         self.epochs += 1
         stamp_ns = self._stamp(epoch)
-        return _events(epoch.sentences, stamp_ns, self)
+        events = epoch_events(epoch.sentences, stamp_ns)
+        self.has_heights |= any(isinstance(event, PositionFix) for event in events)
+        return events
 
     def _stamp(self, epoch: _Epoch) -> int:
         step = 0 if self._day_ns is None else (epoch.day_ns - self._day_ns + DAY_NS // 2) % DAY_NS - DAY_NS // 2
@@ -151,7 +147,20 @@ class NmeaReceiver:
         return stamp_ns
 
 
-def _day_ns(moment: clock_time) -> int:
+def sentence_of(line: bytes) -> Any:
+    """Return the sentence in a line, whatever stands before it; None where there is none that is whole."""
+    start = line.rfind(b"$")
+    # The parser lets a line without a checksum pass: half a sentence would be one.
+    if start < 0 or line[-3:-2] != b"*":
+        return None
+    try:
+        return NMEAReader.parse(line[start:] + b"\r\n")
+    except (NMEAMessageError, NMEAParseError, NMEAStreamError, NMEATypeError, ValueError, ArithmeticError):
+        return None
+
+
+def day_ns_of(moment: clock_time) -> int:
+    """Return a time of day, ns since midnight."""
     seconds = (moment.hour * 60 + moment.minute) * 60 + moment.second
     return seconds * NS_PER_S + moment.microsecond * 1000
 
@@ -161,7 +170,8 @@ def _number(sentence: Any, name: str) -> float | None:
     return float(value) if isinstance(value, int | float) and math.isfinite(value) else None
 
 
-def _events(sentences: dict[str, Any], stamp_ns: int, receiver: NmeaReceiver) -> list[NavEvent]:
+def epoch_events(sentences: dict[str, Any], stamp_ns: int) -> list[NavEvent]:
+    """Return the events of one moment's sentences by kind: the receiver's report, and a position where it has one."""
     gga, rmc, gst = (sentences.get(kind) for kind in ("GGA", "RMC", "GST"))
     fix_type = NO_FIX
     if gga is not None:
@@ -189,7 +199,6 @@ def _events(sentences: dict[str, Any], stamp_ns: int, receiver: NmeaReceiver) ->
     out: list[NavEvent] = [quality]
     lat, lon = (_number(gga, name) if gga is not None else None for name in ("lat", "lon"))
     if has_fix and lat is not None and lon is not None and height is not None and abs(lat) <= 90 and abs(lon) <= 180:
-        receiver.has_heights = True
         out.append(PositionFix(stamp_ns, lat, lon, height, _velocity(sentences)))
     return out
 
@@ -201,7 +210,7 @@ def _sigmas(gga: Any, gst: Any) -> tuple[float | None, float | None]:
         if north and east:
             return math.sqrt((north**2 + east**2) / 2.0), up or None
     dilution = _number(gga, "HDOP") if gga is not None else None
-    if not dilution or dilution > 50.0:
+    if not dilution or dilution > MAX_DILUTION:
         return None, None
     return RANGE_SIGMA_M * dilution, 2.0 * RANGE_SIGMA_M * dilution
 

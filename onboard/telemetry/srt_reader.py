@@ -1,4 +1,4 @@
-"""DJI's subtitles (.SRT), written together with a video -> events. Several dialects:
+"""Subtitles (DJI's .SRT, Autel's .ass), written together with a video -> events. Several dialects:
 
     [latitude: 47.1] [longitude: 8.2] [rel_alt: 30.1 abs_alt: 501.3] [gb_yaw: 12.0 gb_pitch: -90.0 gb_roll: 0.0]
     [latitude : 47.1] [longtitude : 8.2] [altitude: 501.3]                 (the letter too many is DJI's)
@@ -6,6 +6,7 @@
     GPS(8.2,47.1,14) BAROMETER:30.1                                        (longitude first; 14 satellites)
     GPS(47.1,8.2,0.0M) BAROMETER:30.1M                                     (latitude first: `srt_axis_order`)
     GPS(E: 8.2, N: 47.1, 501.3m)                                           (Autel)
+    GPS(E: 8.2, N: 47.1, 14) ReH:30.1                                      (Autel's .ass; 14 is not a height)
     GPS (8.2, 47.1, 14), D 24.1m, H 30.1m, H.S 3.0m/s, F.PRY (-4.0°, 0.3°, 12.1°), G.PRY (-90.0°, 0.0°, 12.3°)
 
 A subtitle's own time is the video's, so pictures of the same video need no other clock. Dates are the camera's local
@@ -22,7 +23,8 @@ from typing import TypeGuard
 
 from contract.errors import InputError
 from onboard.events.types import Attitude, GimbalAttitude, GpsQuality, NavEvent, PositionFix
-from onboard.telemetry.contradictions import LEAST_SHARE, agreeing
+from onboard.telemetry.contradictions import agreeing, beginning
+from onboard.telemetry.row_events import SIGMA_PRESSURE_HEIGHT_M, SIGMA_UNSPECIFIED_M
 from onboard.telemetry.srt_axis_order import (
     MAX_SATELLITES,
     METRES_A_DEGREE,
@@ -31,7 +33,7 @@ from onboard.telemetry.srt_axis_order import (
     UnlabelledPlace,
     axis_order,
 )
-from onboard.telemetry.telemetry_log import TelemetryLog, quaternion, vouched
+from onboard.telemetry.telemetry_log import TelemetryLog, quaternion, vouched, with_news
 
 _NUMBER = r"([+-]?\d{1,9}(?!\d)(?:\.\d+)?)"
 _INTERVAL = re.compile(r"(\d+):(\d\d):(\d\d)[,.](\d{1,3})\s*-->\s*\d+:\d\d:\d\d[,.]\d{1,3}")
@@ -47,20 +49,14 @@ _LETTERED = re.compile(
 _FROM_HOME = re.compile(rf"(?<![\w.])D\s*[= ]\s*{_NUMBER}\s*m\b")
 _SPEED = re.compile(rf"(?<![\w.])(?:H\.S\s+|Hs:\s*){_NUMBER}")
 _DZOOM, _EIS = re.compile(rf"\bDZOOM\s+{_NUMBER}"), re.compile(r"\beis\s*:\s*(\w+)")
-_ABOVE_HOME = re.compile(rf"(?:\bHb?[\s:]\s*|BAROMETER\s*[:(]\s*){_NUMBER}")
+_ABOVE_HOME = re.compile(rf"(?:\bHb?[\s:]\s*|\bReH\s*:\s*|BAROMETER\s*[:(]\s*){_NUMBER}")
 _ANGLES = re.compile(rf"\b([FG])\.PRY\s*\(\s*{_NUMBER}\D*?,\s*{_NUMBER}\D*?,\s*{_NUMBER}\D*?\)")
 _TURNED = re.compile(rf"\b(Drone|Gimbal)\s*:\s*Yaw\s*:\s*{_NUMBER},?\s*Pitch\s*:\s*{_NUMBER},?\s*Roll\s*:\s*{_NUMBER}")
-_TAG = re.compile(r"<[^>]*>")
-# A position stands still between the receiver's own: only the subtitle in which it moved has its time. One that hovers
-# is repeated this often.
-STANDING_NS = 1_000_000_000
-SAME_BEGINNING_NS = 10_000_000_000  # by two dates: frame rates are rounded, and an hour of them is 4 s off
+_TAG = re.compile(r"<[^>]*>|\{[^}]*\}|\\[Nnh]")
+_DIALOGUE = re.compile(
+    r"^Dialogue:[^,\n]*,\s*(\d+):(\d\d):(\d\d)\.(\d{1,3}),(?:[^,\n]*,){7}(.*)$", re.MULTILINE
+)  # ten fields, the last of which is the text
 EMPTY_EPOCH_NS = 946_684_800_000_000_000  # of a log without any date: 2000-01-01
-# `abs_alt` is a height in the standard atmosphere on many models: it differs from the true one as the day's pressure
-# does from 1013 hPa, by 8.3 m a hPa, and a sea-level pressure has a sigma of about 12 hPa. It is the same error for a
-# whole flight. `altitude` counts from the sea on some models and from the take-off on others, and nothing specifies
-# which.
-SIGMA_PRESSURE_HEIGHT_M, SIGMA_UNSAID_M = 100.0, 300.0
 EIS_OFF = {"close", "closed", "off", "none", "0"}
 MAX_HEIGHT_M = 1e5
 HOURS_DIGITS = 2  # of a video's own time: what has more is damaged
@@ -92,40 +88,35 @@ def looks_like_subtitles(head: bytes) -> bool:
     return _INTERVAL.search(head.decode("utf-8", "replace")) is not None
 
 
+def begins_ass(head: bytes) -> bool:
+    """Return whether a file that begins with `head` is a script of subtitles (.ass)."""
+    return b"[Script Info]" in head or b"\nDialogue:" in head
+
+
 def read_srt(path: Path | str, home_amsl_m: float | None = None, gps_order: Order | None = None) -> TelemetryLog:
     """Read a file of subtitles. `home_amsl_m`: the take-off's height above sea level, for dialects that only state how
     high above it the aircraft was; `gps_order` what `GPS(a, b)` means, for those that do not specify it.
 
-    Raises InputError, one line, for a file without positions or without heights, or whose order is not known.
+    Raises InputError, without the file's name, for one without positions or heights, or whose order is not known.
     """
     try:
         text = Path(path).read_bytes().decode("utf-8-sig", "replace")
     except OSError as error:
-        raise InputError(f"telemetry {path}: {error.strerror}") from error
-    try:
-        subtitles, notes = _ordered(_subtitles(text), gps_order)
-    except InputError as error:
-        raise InputError(f"telemetry {path}: {error}") from error
+        raise InputError(f"{error.strerror}") from error
+    subtitles, notes = _ordered(_subtitles(text), gps_order)
     placed = [s for s in subtitles if s.lat_deg is not None]
     if not placed:
-        raise InputError(
-            f"telemetry {path}: no position in its subtitles; the drone writes one with 'Video Subtitles' on and a fix"
-        )
+        raise InputError(f"no position in its {len(subtitles)} subtitles: none was written, or there was no fix")
     has_amsl = any(s.height_amsl_m is not None or s.altitude_m is not None for s in placed)
     if not has_amsl and all(s.above_home_m is None for s in placed):
-        raise InputError(f"telemetry {path}: positions without any height in its subtitles; give another log")
+        raise InputError("positions without any height in its subtitles; give another log")
     if home_amsl_m is None and not has_amsl:
-        raise InputError(
-            f"telemetry {path}: heights above the take-off only; state its height above sea level: --home-amsl-m M"
-        )
-    try:
-        epoch_ns, dates = _epoch_ns(subtitles)
-        positions, claims = _positions(placed, epoch_ns, home_amsl_m)
-        if not positions:
-            raise InputError("no height above the take-off in its subtitles; leave --home-amsl-m out")
-        agree, contradictions = agreeing(positions)
-    except InputError as error:
-        raise InputError(f"telemetry {path}: {error}") from error
+        raise InputError("heights above the take-off only; state its height above sea level: --home-amsl-m M")
+    epoch_ns, dates = _epoch_ns(subtitles)
+    positions, claims = _positions(placed, epoch_ns, home_amsl_m)
+    if not positions:
+        raise InputError("no height above the take-off in its subtitles; leave --home-amsl-m out")
+    agree, contradictions = agreeing(positions)
     positions, claims = [positions[at] for at in agree], [claims[at] for at in agree]
     events = vouched(positions, claims)
     for subtitle in subtitles:
@@ -133,22 +124,27 @@ def read_srt(path: Path | str, home_amsl_m: float | None = None, gps_order: Orde
     return replace(
         TelemetryLog.by_stamp(events),
         video_epoch_ns=epoch_ns,
+        utc_sigma_s=None,
         notes=(*notes, *dates, *contradictions, *_stabilisation_note(subtitles), *_height_note(claims)),
         digital_zoom=_zoom_steps(subtitles, epoch_ns),
     )
 
 
 def _subtitles(text: str) -> list[_Subtitle]:
-    found = list(_INTERVAL.finditer(text))
-    ends = [match.start() for match in found[1:]] + [len(text)]
+    parts = [(match.groups()[:4], match[5]) for match in _DIALOGUE.finditer(text)]
+    if not parts:
+        found = list(_INTERVAL.finditer(text))
+        ends = [match.start() for match in found[1:]] + [len(text)]
+        parts = [(match.groups(), text[match.end() : end]) for match, end in zip(found, ends, strict=True)]
+    if len(parts) > 1 and not text.endswith("\n"):
+        del parts[-1]  # it may be cut within a number
     out = []
-    for match, end in zip(found, ends, strict=True):
-        hours, minutes, seconds, fraction = match.groups()
-        if len(hours) > HOURS_DIGITS:
-            continue
+    for (hours, minutes, seconds, fraction), content in parts:
+        if len(hours) > HOURS_DIGITS or "\0" in content:
+            continue  # damaged
         whole = (int(hours) * 60 + int(minutes)) * 60 + int(seconds)
         at_ns = whole * 1_000_000_000 + int(fraction.ljust(3, "0")) * 1_000_000
-        out.append(_subtitle(at_ns, _TAG.sub(" ", text[match.end() : end])))
+        out.append(_subtitle(at_ns, _TAG.sub(" ", content)))
     return sorted(out, key=lambda subtitle: subtitle.at_ns)
 
 
@@ -303,26 +299,9 @@ def _date_ns(text: str) -> int | None:
 
 
 def _epoch_ns(subtitles: list[_Subtitle]) -> tuple[int, list[str]]:
-    """Return when the video began, by the dates less the video's time, and a note of dates that contradict it.
-
-    Whole seconds are cut off, never rounded up, so that the latest beginning that they allow is the best. Raises
-    InputError where dates contradict one another and too few agree.
-    """
-    began = sorted(s.taken_ns - s.at_ns for s in subtitles if s.taken_ns is not None)
-    if not began:
-        return EMPTY_EPOCH_NS, []
-    middle_ns = began[len(began) // 2]
-    agree = [one for one in began if abs(one - middle_ns) <= SAME_BEGINNING_NS]
-    if len(agree) == len(began):
-        return began[-1], []
-    if len(agree) < LEAST_SHARE * len(began):
-        days = [
-            f"{datetime.fromtimestamp(one // 1_000_000_000, UTC):%Y-%m-%d %H:%M:%S}" for one in (began[0], began[-1])
-        ]
-        raise InputError(
-            f"its dates contradict one another: the video began at {days[0]} by one, at {days[1]} by another"
-        )
-    return agree[-1], [f"{len(began) - len(agree)} of {len(began)} dates contradict the others and are not used"]
+    """Return when the video began, by the dates less the video's time, and a note of dates that contradict it."""
+    began_ns = [s.taken_ns - s.at_ns for s in subtitles if s.taken_ns is not None]
+    return beginning(began_ns, "the video") if began_ns else (EMPTY_EPOCH_NS, [])
 
 
 def _positions(
@@ -335,16 +314,11 @@ def _positions(
         amsl_m, above_m, datum_m = _height(subtitle, home_amsl_m)
         if amsl_m is None or abs(amsl_m) > MAX_HEIGHT_M or subtitle.lat_deg is None or subtitle.lon_deg is None:
             continue
-        fix = PositionFix(stamp_ns, subtitle.lat_deg, subtitle.lon_deg, amsl_m, None, above_m)
-        if positions:
-            last = positions[-1]
-            same = (fix.lat_deg, fix.lon_deg) == (last.lat_deg, last.lon_deg)
-            if stamp_ns <= last.stamp_ns or (same and stamp_ns - last.stamp_ns < STANDING_NS):
-                continue
-        positions.append(fix)
+        positions.append(PositionFix(stamp_ns, subtitle.lat_deg, subtitle.lon_deg, amsl_m, None, above_m))
         step_m = METRES_A_DEGREE * 10.0**-subtitle.decimals
         claims.append(GpsQuality(stamp_ns, 3, subtitle.satellites, step_m / 12.0**0.5, sigma_datum_m=datum_m))
-    return positions, claims
+    new = with_news(positions)
+    return [positions[at] for at in new], [claims[at] for at in new]
 
 
 def _height(subtitle: _Subtitle, home_amsl_m: float | None) -> tuple[float | None, float | None, float | None]:
@@ -354,8 +328,9 @@ def _height(subtitle: _Subtitle, home_amsl_m: float | None) -> tuple[float | Non
         above_m = subtitle.altitude_m if above_m is None else above_m
         return (None, None, None) if above_m is None else (home_amsl_m + above_m, above_m, None)
     if subtitle.height_amsl_m is not None:
+        # `abs_alt` is a height in the standard atmosphere on many models.
         return subtitle.height_amsl_m, above_m, SIGMA_PRESSURE_HEIGHT_M
-    return subtitle.altitude_m, above_m, SIGMA_UNSAID_M
+    return subtitle.altitude_m, above_m, SIGMA_UNSPECIFIED_M  # from the sea on some models, the take-off on others
 
 
 def _is_an_attitude(angles_deg: tuple[float, float, float] | None) -> TypeGuard[tuple[float, float, float]]:

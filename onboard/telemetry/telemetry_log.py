@@ -17,6 +17,7 @@ Array = NDArray[np.float64]
 NS_PER_S = 1_000_000_000
 # Reports on positions that stand in a file come this often: enough for `gps.quality_timeout_s` at its least.
 REPORT_NS = 400_000_000
+STANDING_NS = 1_000_000_000  # a position that stands still is taken again this often
 MAX_GAP_S = 10.0  # positions farther apart are joined by no configuration
 
 
@@ -28,6 +29,8 @@ class TelemetryLog:
     began. `video_epoch_ns`: when the video began that the log was written with, if it was written with one.
     `digital_zoom`: from which moment on the camera enlarged its pictures, and how often. `notes`: what the operator
     should know of how the log was read, one line each. `shots_ns`: when a camera's shutter was triggered or reported.
+    `utc_sigma_s`: one sigma of the stamps against UTC, 0 of a receiver's or of a clock that the configuration states;
+    None where they are local times of no stated zone, which nothing ties to UTC.
     """
 
     events: list[NavEvent]
@@ -38,6 +41,7 @@ class TelemetryLog:
     digital_zoom: tuple[tuple[int, float], ...] = ()
     notes: tuple[str, ...] = ()
     shots_ns: tuple[int, ...] = ()
+    utc_sigma_s: float | None = 0.0
 
     @classmethod
     def by_stamp(cls, events: Iterable[NavEvent], boot_segments: int = 1) -> TelemetryLog:
@@ -72,6 +76,22 @@ def vouched(positions: list[PositionFix], claims: list[GpsQuality]) -> list[NavE
         pairs = zip(newest.tolist(), moments_ns.tolist(), strict=True)
         out += [replace(claims[at], stamp_ns=moment_ns) for at, moment_ns in pairs]
         first = last + 1
+    return out
+
+
+def with_news(positions: list[PositionFix]) -> list[int]:
+    """Return which of positions that are repeated until there is a new one bring one: only these have its time.
+
+    One that hovers is repeated every `STANDING_NS`; stamps of the result increase.
+    """
+    out: list[int] = []
+    for at, fix in enumerate(positions):
+        if out:
+            last = positions[out[-1]]
+            is_same = (fix.lat_deg, fix.lon_deg) == (last.lat_deg, last.lon_deg)
+            if fix.stamp_ns <= last.stamp_ns or (is_same and fix.stamp_ns - last.stamp_ns < STANDING_NS):
+                continue
+        out.append(at)
     return out
 
 

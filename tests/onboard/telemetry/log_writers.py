@@ -6,12 +6,14 @@ flight at T0_S of Unix time.
 
 from __future__ import annotations
 
+import functools
 import io
 import math
+import operator
 import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +32,7 @@ LAT, LON, HOME_M, ABOVE_M = -43.38, 172.4, 350.0, 100.0
 SPEED = 20.0
 METRES_A_DEGREE = 111_132.0
 SHUTTER_S, UTC_BEHIND_S = 0.1, 3.0  # after what asked for it; of a .tlog's UTC, behind the clock that stamped it
+FOOT_M, LOCAL_AHEAD_S = 0.3048, 13 * 3600.0
 GPS_LAG_S = 0.12  # what readers assume where a straight flight shows none
 
 
@@ -298,7 +301,121 @@ def table() -> bytes:
     return "\n".join(rows).encode()
 
 
-WRITERS: dict[str, Callable[[], bytes]] = {"tlog": tlog, "bin": dataflash, "ulg": ulog, "srt": srt, "csv": table}
+def airdata() -> bytes:
+    """In feet, with the spaces that it has in its heads, and dates cut to the second."""
+    rows = ["time(millisecond),datetime(utc),latitude,longitude,height_above_takeoff(feet),"
+            "altitude_above_seaLevel(feet),satellites, compass_heading(degrees), pitch(degrees), roll(degrees),isVideo,"
+            "gimbal_heading(degrees),gimbal_pitch(degrees),altitude(feet),message"]  # fmt: skip
+    for m in moments(10):
+        roll, pitch, yaw = m.euler_deg
+        rows.append(
+            f"{round(1000 * m.t)},{datetime.fromtimestamp(T0_S + m.t, UTC):%Y-%m-%d %H:%M:%S},{m.lat:.7f},{LON:.7f},"
+            f"{ABOVE_M / FOOT_M:.4f},{(HOME_M + ABOVE_M) / FOOT_M:.4f},12,{yaw:.2f}, {pitch:.2f}, {roll:.2f},1,"
+            f"10.0,-90.0,{ABOVE_M / FOOT_M:.4f},"
+        )
+    return "\n".join([*rows, ""]).encode()
+
+
+def dji_record() -> bytes:
+    """As Flight Reader writes it where commas are decimal: a line for spreadsheets, local times of twelve hours."""
+    rows = ["sep=;", "CUSTOM.date [local];CUSTOM.updateTime [local];OSD.flyTime;OSD.latitude;OSD.longitude;"
+            "OSD.height [m];OSD.altitude [m];OSD.pitch;OSD.roll;OSD.yaw [360];OSD.gpsNum;GIMBAL.pitch;GIMBAL.roll;"
+            "GIMBAL.yaw"]  # fmt: skip
+    for m in moments(10):
+        at = datetime.fromtimestamp(T0_S + m.t + LOCAL_AHEAD_S, UTC)
+        roll, pitch, yaw = m.euler_deg
+        numbers = f"{m.lat:.8f};{LON:.8f};{ABOVE_M};{HOME_M + ABOVE_M};{pitch};{roll:.3f};{yaw};12;-90.0;0.0;10.0"
+        rows.append(
+            f"{at.month}/{at.day}/{at.year};{at.hour % 12 or 12}:{at:%M:%S}.{at.microsecond // 10_000:02d} "
+            f"{at:%p};0m 1s;{numbers.replace('.', ',')}"
+        )
+    return "\r\n".join([*rows, ""]).encode()
+
+
+def skydio() -> bytes:
+    rows = ["Timestamp,Latitude,Longitude,Altitude (ft MSL),Gimbal Pitch,Heading"]
+    for m in moments(10):
+        at = datetime.fromtimestamp(T0_S + m.t, UTC)
+        rows.append(f"{at:%Y-%m-%dT%H:%M:%S}.{at.microsecond // 1000:03d}Z,{m.lat:.7f},{LON},"
+                    f"{(HOME_M + ABOVE_M) / FOOT_M:.4f},-90,10")  # fmt: skip
+    return "\n".join([*rows, ""]).encode()
+
+
+def gpx() -> bytes:
+    """With a place, a route and heights and times of other things, none of which are the track's."""
+    head = ('<?xml version="1.0"?>\n<gpx version="1.1" xmlns="http://www.topografix.com/GPX/1/1"><metadata><time>'
+            "2020-01-01T00:00:00Z</time></metadata><wpt lat='1' lon='2'><ele>3</ele></wpt><trk><trkseg>\n")  # fmt: skip
+    points = [
+        f'<trkpt lat="{m.lat:.8f}" lon="{LON}"><ele>{HOME_M + ABOVE_M}</ele><time>{_utc(m.t)}Z</time>'
+        "<extensions><ele>7</ele><time>2001-01-01T00:00:00Z</time></extensions></trkpt>\n"
+        for m in moments(10)
+    ]
+    return (head + "".join(points) + "</trkseg></trk></gpx>\n").encode()
+
+
+def ass() -> bytes:
+    """As Autel writes it; the third number of GPS is no height."""
+    rows = ["[Script Info]", "ScriptType: v4.00+", "", "[Events]",
+            "Format: Layer, Start, End, Style, Name, MarginL, MarginR, MarginV, Effect, Text"]  # fmt: skip
+    for m in moments(10):
+        at = datetime.fromtimestamp(T0_S + m.t, UTC)
+        begin, end = (_clock(t)[1:-1].replace(",", ".") for t in (m.t, m.t + 0.1))
+        rows.append(
+            f"Dialogue: 0,{begin},{end},Default,,0,0,0,,HOME(E: {LON:.4f}, S: {-LAT:.4f}) "
+            f"{at.year}.{at.month}.{at.day} {at:%H:%M:%S}\\N"
+            f"GPS(E: {LON:.7f}, S: {-m.lat:.7f}, 120) ReH:{ABOVE_M}\\NISO:100 SHUTTER:1000 EV:0 F-NUM:2.8"
+        )
+    return "\n".join([*rows, ""]).encode()
+
+
+def nmea() -> bytes:
+    out = []
+    for m in moments(10):
+        at = datetime.fromtimestamp(T0_S + m.t, UTC)
+        time = f"{at:%H%M%S}.{at.microsecond // 10_000:02d}"
+        south = f"{int(-m.lat)}{60 * (-m.lat % 1):09.6f}"
+        east = f"{int(LON):03d}{60 * (LON % 1):09.6f}"
+        for text in (
+            f"GPRMC,{time},A,{south},S,{east},E,{SPEED / 0.514444444:.4f},0.0,{at:%d%m%y},,,A",
+            f"GPGGA,{time},{south},S,{east},E,1,12,0.8,{HOME_M + ABOVE_M:.1f},M,11.0,M,,",
+            f"GPGST,{time},1.0,,,,0.4,0.4,0.6",
+        ):
+            out.append(f"${text}*{functools.reduce(operator.xor, text.encode()):02X}\r\n")
+    return "".join(out).encode()
+
+
+def pos() -> bytes:
+    rows = [
+        "% program   : RTKPOST ver.2.4.3",
+        "% (lat/lon/height=WGS84/ellipsoidal,Q=1:fix,2:float,5:single)",
+        "%  GPST              latitude(deg) longitude(deg)  height(m)   Q  ns   sdn(m)   sde(m)   sdu(m)",
+    ]
+    for m in moments(10):
+        week, ms = gps_time(T0_S + m.t)
+        at = datetime(1980, 1, 6, tzinfo=UTC) + timedelta(weeks=week, milliseconds=ms)
+        rows.append(f"{at:%Y/%m/%d %H:%M:%S}.{at.microsecond // 1000:03d}  {m.lat:.9f}  {LON:.9f}  "
+                    f"{HOME_M + ABOVE_M + 11.0:.4f}   5  12   0.4000   0.4000   0.6000")  # fmt: skip
+    return "\n".join([*rows, ""]).encode()
+
+
+def mrk() -> bytes:
+    rows = []
+    for i, m in enumerate(moments(10)):
+        week, ms = gps_time(T0_S + m.t)
+        rows.append(f"{i + 1}\t{ms / 1000:.6f}\t[{week}]\t   -9,N\t    12,E\t   193,V\t{m.lat:.8f},Lat\t{LON:.8f},Lon\t"
+                    f"{HOME_M + ABOVE_M + 11.0:.3f},Ellh\t0.400, 0.400, 0.600\t16,Q")  # fmt: skip
+    return "\n".join([*rows, ""]).encode()
+
+
+def _utc(t: float) -> str:
+    at = datetime.fromtimestamp(T0_S + t, UTC)
+    return f"{at:%Y-%m-%dT%H:%M:%S}.{at.microsecond // 1000:03d}"
+
+
+WRITERS: dict[str, Callable[[], bytes]] = {
+    "tlog": tlog, "bin": dataflash, "ulg": ulog, "srt": srt, "csv": table, "airdata": airdata, "dji": dji_record,
+    "skydio": skydio, "gpx": gpx, "ass": ass, "nmea": nmea, "pos": pos, "mrk": mrk,
+}  # fmt: skip
 
 
 def written(folder: Path, kind: str, name: str | None = None) -> Path:

@@ -6,7 +6,8 @@ import itertools
 import math
 import random
 import sys
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,12 +17,16 @@ from contract.errors import InputError
 from contract.rotations import log_so3, matrix_from_quaternion
 from onboard.events.types import Attitude, FilterStatus, GimbalAttitude, GpsQuality, NavEvent, PositionFix, RangeFinder
 from onboard.telemetry.log_files import read_log
-from onboard.telemetry.telemetry_log import TelemetryLog
+from onboard.telemetry.log_formats import READ, table
+from onboard.telemetry.read_options import ReadOptions
+from onboard.telemetry.telemetry_log import TelemetryLog, quaternion
+from tests.onboard.telemetry import log_writers
 from tests.onboard.telemetry.log_writers import (
     ABOVE_M,
     BOOT_S,
     HOME_M,
     LAT,
+    LOCAL_AHEAD_S,
     LON,
     METRES_A_DEGREE,
     SECONDS,
@@ -45,19 +50,44 @@ class Promise:
     stamp_s: float = 0.002
     place_m: float = 0.03
     tilt_deg: float = 0.01
+    attitude_hz: int = 50
     has_velocity: bool = True
     has_rate: bool = True
-    has_claims: bool = True
+    claims: tuple[float, float, int | None] | None = (0.4, 0.6, 12)
     undulation_m: float | None = 11.0
+    datum_m: float | None = None
+    above_m: float | None = ABOVE_M
+    gimbal_deg: tuple[float, float, float] | None = None
+    utc_sigma_s: float | None = 0.0
+    ahead_s: float = 0.0  # of UTC, that its times are
+    options: ReadOptions | None = None
+    least: tuple[int, int] = (5, 60)  # of ten damaged ones, that are read, and of their positions
 
 
+BARE = Promise(attitude_hz=0, has_velocity=False, has_rate=False, claims=None, undulation_m=None, above_m=None)
+DOWN_DEG = (0.0, -90.0, 10.0)
 KINDS = {
     "tlog": Promise(),
     "bin": Promise(),
-    "ulg": Promise(),
-    "srt": Promise(0.035, 0.7, 0.3, has_velocity=False, has_rate=False, has_claims=False, undulation_m=None),
-    "csv": Promise(),
-}
+    "ulg": Promise(least=(5, 0)),
+    "srt": replace(
+        BARE, stamp_s=0.035, place_m=0.7, tilt_deg=0.3, attitude_hz=30, datum_m=100.0, above_m=ABOVE_M,
+        gimbal_deg=DOWN_DEG, utc_sigma_s=None,
+    ),
+    "csv": Promise(least=(0, 60)),
+    "airdata": replace(BARE, attitude_hz=10, datum_m=100.0, above_m=ABOVE_M, gimbal_deg=DOWN_DEG, utc_sigma_s=1.0),
+    "dji": replace(
+        BARE, stamp_s=0.01, attitude_hz=10, datum_m=100.0, above_m=ABOVE_M, gimbal_deg=DOWN_DEG, utc_sigma_s=None,
+        ahead_s=LOCAL_AHEAD_S,
+    ),
+    "skydio": replace(BARE, datum_m=40.0, gimbal_deg=DOWN_DEG, utc_sigma_s=1.0),
+    "gpx": replace(BARE, datum_m=40.0, least=(5, 0)),
+    "ass": replace(BARE, stamp_s=0.01, above_m=ABOVE_M, utc_sigma_s=None, options=ReadOptions(home_amsl_m=HOME_M)),
+    "nmea": Promise(stamp_s=0.01, attitude_hz=0, has_rate=False, above_m=None),
+    "pos": replace(BARE, claims=(0.4, 0.6, 12), undulation_m=11.0, options=ReadOptions(undulation_m=11.0)),
+    "mrk": replace(BARE, claims=(0.4, 0.6, None), undulation_m=11.0, options=ReadOptions(undulation_m=11.0)),
+}  # fmt: skip
+PAUSE_S = 600.0
 ALL = pytest.mark.parametrize("kind", KINDS)
 
 
@@ -68,7 +98,7 @@ def of(log: TelemetryLog, kind: type[NavEvent]) -> list:
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, TelemetryLog]:
     folder = tmp_path_factory.mktemp("logs")
-    return {kind: read_log(written(folder, kind)) for kind in KINDS}
+    return {kind: read_log(written(folder, kind), KINDS[kind].options) for kind in KINDS}
 
 
 @ALL
@@ -76,14 +106,15 @@ def test_positions_are_where_the_flight_was_at_their_stamps(logs: dict[str, Tele
     promise, fixes = KINDS[kind], of(logs[kind], PositionFix)
     assert 0.95 * SECONDS * 10 <= len(fixes) <= SECONDS * 10
     for fix in fixes:
-        t = fix.stamp_ns / 1e9 - T0_S
+        t = fix.stamp_ns / 1e9 - T0_S - promise.ahead_s
         off_m = (fix.lat_deg - Moment(t).lat) * METRES_A_DEGREE
         assert abs(off_m) < promise.place_m + SPEED * promise.stamp_s
         assert fix.lon_deg == pytest.approx(LON, abs=1e-6)
         assert fix.height_amsl_m == pytest.approx(HOME_M + ABOVE_M, abs=0.01)
-        assert fix.height_above_home_m == pytest.approx(ABOVE_M, abs=0.01)
+        assert fix.height_above_home_m == (None if promise.above_m is None else pytest.approx(ABOVE_M, abs=0.01))
         if promise.has_velocity:
-            assert fix.velocity_ned_m_s == pytest.approx((SPEED, 0.0, 0.0), abs=0.02)
+            assert fix.velocity_ned_m_s is not None
+            assert fix.velocity_ned_m_s[:2] == pytest.approx((SPEED, 0.0), abs=0.02)
         else:
             assert fix.velocity_ned_m_s is None
 
@@ -91,15 +122,20 @@ def test_positions_are_where_the_flight_was_at_their_stamps(logs: dict[str, Tele
 @ALL
 def test_attitudes_come_at_the_log_s_full_rate_with_the_gyros_rates(logs: dict[str, TelemetryLog], kind: str) -> None:
     promise, attitudes = KINDS[kind], of(logs[kind], Attitude)
-    assert len(attitudes) >= (0.98 if promise.has_rate else 0.55) * SECONDS * 50
+    assert 0.92 * SECONDS * promise.attitude_hz <= len(attitudes) <= SECONDS * promise.attitude_hz
     for attitude in attitudes[1:-1]:
-        t = attitude.stamp_ns / 1e9 - T0_S
+        t = attitude.stamp_ns / 1e9 - T0_S - promise.ahead_s
         R, truth = matrix_from_quaternion(attitude.q_ned_body), matrix_from_quaternion(Moment(t).q)
         assert np.degrees(np.linalg.norm(log_so3(R.T @ truth))) < promise.tilt_deg + 6.0 * promise.stamp_s
         if promise.has_rate:
             assert attitude.rate_body_rad_s == pytest.approx((Moment(t).roll_rate, 0.0, 0.0), abs=2e-3)
         else:
             assert attitude.rate_body_rad_s is None
+    gimbal = of(logs[kind], GimbalAttitude)
+    assert bool(gimbal) is (promise.gimbal_deg is not None)
+    for angles in gimbal:
+        assert angles.is_of_camera and angles.reference == "earth"
+        assert angles.q_ref_gimbal == pytest.approx(quaternion(promise.gimbal_deg or DOWN_DEG), abs=1e-9)
 
 
 @ALL
@@ -111,14 +147,14 @@ def test_the_receiver_and_the_filter_are_received_before_the_first_position_is_n
     assert all(q.fix_type == 3 for q in qualities) and all(s.has_position and not s.is_glitching for s in statuses)
     gaps = np.diff([q.stamp_ns for q in qualities]) / 1e9
     assert len(qualities) > 10 and gaps.max() < 0.6  # `gps.quality_timeout_s` may be as short as 0.5 s
-    assert statuses
+    assert bool(statuses) is (kind != "nmea")
     last = qualities[-1]
+    assert (last.sigma_datum_m, log.utc_sigma_s) == (promise.datum_m, promise.utc_sigma_s)
     assert last.undulation_m == (
         None if promise.undulation_m is None else pytest.approx(promise.undulation_m, abs=0.01)
     )
-    if promise.has_claims:
-        assert (last.sigma_horizontal_m, last.sigma_vertical_m) == pytest.approx((0.4, 0.6))
-        assert last.satellites == 12
+    if promise.claims is not None:
+        assert (last.sigma_horizontal_m, last.sigma_vertical_m, last.satellites) == pytest.approx(promise.claims)
 
 
 @ALL
@@ -129,14 +165,55 @@ def test_it_arrives_in_order_and_stamps_of_a_kind_never_run_backwards(logs: dict
     for what in (PositionFix, Attitude, GpsQuality, FilterStatus):
         stamps = [event.stamp_ns for event in of(log, what)]
         assert all(a <= b for a, b in itertools.pairwise(stamps))
-    begin_s, end_s = (stamp / 1e9 - T0_S for stamp in log.span_ns)
+    begin_s, end_s = (stamp / 1e9 - T0_S - KINDS[kind].ahead_s for stamp in log.span_ns)
     assert -0.05 < begin_s < 0.05 and SECONDS - 0.2 < end_s < SECONDS + 0.05
 
 
 @ALL
 def test_a_log_is_known_by_what_it_holds_and_not_by_its_name(tmp_path: Path, kind: str) -> None:
     path = written(tmp_path, kind, "log.dat")
-    assert len(of(read_log(path), PositionFix)) > 100
+    assert len(of(read_log(path, KINDS[kind].options), PositionFix)) > 100
+
+
+def test_every_format_that_is_read_is_held_to_a_promise_here_and_named_in_the_docs() -> None:
+    assert {each.key for each in READ} == set(KINDS) == set(WRITERS)
+    page = (Path(__file__).parents[3] / "docs" / "logs.md").read_text(encoding="utf-8")
+    assert table() in page
+
+
+@ALL
+def test_a_log_that_pauses_claims_nothing_meanwhile(tmp_path: Path, kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ten minutes between two halves: a battery change, or a boot."""
+
+    def halves(rate_hz: float) -> Iterator[Moment]:
+        for i in range(round(SECONDS * rate_hz)):
+            yield Moment(i / rate_hz + (PAUSE_S if 2 * i >= SECONDS * rate_hz else 0.0))
+
+    monkeypatch.setattr(log_writers, "moments", halves)
+    log = read_log(written(tmp_path, kind), KINDS[kind].options)
+    assert 0.9 * SECONDS * 10 <= len(of(log, PositionFix)) <= SECONDS * 10
+    for event in log.events:
+        t = event.stamp_ns / 1e9 - T0_S - KINDS[kind].ahead_s
+        assert -1.0 < t < SECONDS / 2 + 1.5 or PAUSE_S + SECONDS / 2 - 1.0 < t < PAUSE_S + SECONDS + 1.5
+        if isinstance(event, PositionFix):
+            assert abs(event.lat_deg - Moment(t).lat) * METRES_A_DEGREE < 0.7 + SPEED * 0.035
+
+
+@ALL
+def test_zeros_in_a_log_cost_only_themselves(tmp_path: Path, kind: str) -> None:
+    """As a card has them that was pulled out."""
+    data = bytearray(WRITERS[kind]())
+    at = 2 * len(data) // 3
+    data[at : at + 200] = bytes(200)
+    path = tmp_path / "zeros"
+    path.write_bytes(data)
+    if kind == "csv":  # a table with a line that cannot be meant is refused
+        with pytest.raises(InputError, match=r"line \d+"):
+            read_log(path)
+        return
+    fixes = of(read_log(path, KINDS[kind].options), PositionFix)
+    assert len(fixes) > 0.6 * SECONDS * 10
+    assert all(abs(fix.lat_deg - LAT) < 0.01 and abs(fix.height_amsl_m - HOME_M - ABOVE_M) < 1.0 for fix in fixes)
 
 
 @ALL
@@ -149,7 +226,9 @@ def test_a_cut_log_gives_what_it_still_holds(tmp_path: Path, kind: str, share: f
         with pytest.raises(InputError, match=r"line \d+"):
             read_log(path)
         path.write_bytes(path.read_bytes().rpartition(b"\n")[0])
-    assert 0.4 * share * SECONDS * 10 < len(of(read_log(path), PositionFix)) < SECONDS * 10
+    fixes = of(read_log(path, KINDS[kind].options), PositionFix)
+    assert 0.4 * share * SECONDS * 10 < len(fixes) < SECONDS * 10
+    assert all(abs(fix.height_amsl_m - HOME_M - ABOVE_M) < 0.1 for fix in fixes)
 
 
 @ALL
@@ -164,15 +243,15 @@ def test_a_damaged_log_gives_the_rest_or_one_line(tmp_path: Path, kind: str) -> 
             data[at : at + 16] = rng.randbytes(16)
         path.write_bytes(bytes(data))
         try:
-            fixes = of(read_log(path), PositionFix)
+            fixes = of(read_log(path, KINDS[kind].options), PositionFix)
         except InputError as error:
             assert "\n" not in str(error) and str(path) in str(error)
             continue
         read += 1
         near = [f for f in fixes if abs(f.lat_deg - LAT) < 0.01 and abs(f.lon_deg - LON) < 0.01]
         # pyulog goes on at the next synchronisation mark, of which an autopilot writes many and its own writer none.
-        assert len(near) >= len(fixes) - 8 and len(near) > (0 if kind == "ulg" else 60)
-    assert read >= (0 if kind == "csv" else 5)
+        assert len(near) >= len(fixes) - 8 and len(near) > KINDS[kind].least[1]
+    assert read >= KINDS[kind].least[0]
 
 
 @pytest.mark.parametrize(
@@ -183,13 +262,13 @@ def test_a_damaged_log_gives_the_rest_or_one_line(tmp_path: Path, kind: str) -> 
         (b"\xff\xd8\xff\xe0\x00\x10JFIF" + bytes(50), "--telemetry exif"),
         (b"PK\x03\x04" + bytes(60), "unpack it first"),
         (b"\x89MCAP0\r\n" + bytes(60), "without --telemetry"),
-        (b"time,lat,lon\n1,2,3\n", "known are MAVLink .tlog"),
-        (b"just some words\n", "known are MAVLink .tlog"),
-        (bytes(range(256)) * 30, "known are MAVLink .tlog"),
+        (b"time,lat,lon\n1,2,3\n", "of another table rename the columns: unix_time_s,"),
+        (b"just some words\n", "of no known kind; known are an ArduPilot"),
+        (bytes(range(256)) * 30, "of a known kind; known are an ArduPilot"),
         (b"\xa3\x95\x80" + bytes(500), "telemetry"),
         (b"ULog\x01\x12\x35\x01" + bytes(20), "telemetry"),
         (b"unix_time_s,lat_deg\n1795217000,1\n", "no column lon_deg, height_amsl_m"),
-        (b"1\n00:00:00,000 --> 00:00:01,000\nHello\n", "no position in its subtitles"),
+        (b"1\n00:00:00,000 --> 00:00:01,000\nHello\n", "no position in its 1 subtitles"),
     ],
 )
 def test_what_is_no_log_is_one_line(tmp_path: Path, content: bytes, reported: str) -> None:
@@ -258,22 +337,22 @@ def test_px4_s_own_log_without_utc_is_read_with_the_time_of_its_boot(tmp_path: P
     with_utc.write_bytes(ulog())
     with pytest.raises(InputError, match=r"no UTC in it .* --time-offset S, or --time-offset 0 where"):
         read_log(path)
-    read, known = read_log(path, boot_unix_s=T0_S - BOOT_S), read_log(with_utc)
+    read, known = read_log(path, ReadOptions(boot_unix_s=T0_S - BOOT_S)), read_log(with_utc)
     assert len(read.events) == len(known.events)
     for kind in (PositionFix, Attitude, GpsQuality):
         mine, theirs = of(read, kind), of(known, kind)
         late_s = [(a.stamp_ns - b.stamp_ns) / 1e9 for a, b in zip(mine, theirs, strict=True)]
         assert np.abs(late_s).max() < 0.002
-    at_boot = read_log(path, boot_unix_s=0.0)
+    at_boot = read_log(path, ReadOptions(boot_unix_s=0.0))
     assert at_boot.span_ns[0] / 1e9 == pytest.approx(BOOT_S, abs=0.3)
 
 
 def test_a_log_that_has_its_time_takes_no_other(tmp_path: Path) -> None:
     (tmp_path / "utc.ulg").write_bytes(ulog())
     with pytest.raises(InputError, match=r"has UTC .* leave --time-offset out"):
-        read_log(tmp_path / "utc.ulg", boot_unix_s=0.0)
+        read_log(tmp_path / "utc.ulg", ReadOptions(boot_unix_s=0.0))
     with pytest.raises(InputError, match=r"--time-offset is for a PX4 \.ulg without UTC"):
-        read_log(written(tmp_path, "tlog"), boot_unix_s=0.0)
+        read_log(written(tmp_path, "tlog"), ReadOptions(boot_unix_s=0.0))
 
 
 def test_an_earth_fixed_gimbal_of_a_px4_log(tmp_path: Path) -> None:
@@ -302,7 +381,7 @@ DIALECTS = {
         (41.3, -81.3, 300.0, 50.6, 100.0), (0.0, -45.0, 10.0),
     ),
 }  # fmt: skip
-BARE = {
+HOME_NEEDED = {
     "phantom 4": "HOME(149.0251,-20.2532) 2017.08.05 14:11:51\nGPS(149.0251,-20.2533,16) BAROMETER:31.9\nISO:100",
     "older": "HOME(149.0251,-20.2532) 2017.8.5 14:11:51\nGPS(149.0251,-20.2533,16) Hb:31.9 Hs:1.9\nISO:100 TV:60",
     "mavic pro": "F/2.8, SS 206.14, ISO 150, EV 0, GPS (149.0251, -20.2533, 15), D 24.78m, H 31.90m, H.S 2.01m/s",
@@ -328,13 +407,13 @@ def test_dialects_of_dji_s_subtitles(tmp_path: Path, dialect: str) -> None:
     assert log.video_epoch_ns == fix.stamp_ns
 
 
-@pytest.mark.parametrize("dialect", BARE)
+@pytest.mark.parametrize("dialect", HOME_NEEDED)
 def test_dialects_without_a_height_above_the_sea_ask_for_the_take_off_s(tmp_path: Path, dialect: str) -> None:
     path = tmp_path / "a.srt"
-    path.write_text(SRT_HEAD + BARE[dialect] + "\n", encoding="utf-8")
+    path.write_text(SRT_HEAD + HOME_NEEDED[dialect] + "\n", encoding="utf-8")
     with pytest.raises(InputError, match="--home-amsl-m"):
         read_log(path)
-    log = read_log(path, home_amsl_m=400.0)
+    log = read_log(path, ReadOptions(home_amsl_m=400.0))
     (fix,) = of(log, PositionFix)
     assert (fix.lat_deg, fix.lon_deg, fix.height_amsl_m) == (-20.2533, 149.0251, 431.9)
     quality = of(log, GpsQuality)[0]
@@ -359,7 +438,7 @@ def test_subtitles_that_cannot_be_used_are_one_line(
     path = tmp_path / "a.srt"
     path.write_text(SRT_HEAD + text + "\n", encoding="utf-8")
     with pytest.raises(InputError, match=reported) as caught:
-        read_log(path, home_amsl_m=home_amsl_m)
+        read_log(path, ReadOptions(home_amsl_m=home_amsl_m))
     assert "\n" not in str(caught.value)
 
 

@@ -10,6 +10,7 @@ import pytest
 from contract.errors import InputError
 from onboard.events.types import GpsQuality, PositionFix
 from onboard.telemetry.log_files import read_log
+from onboard.telemetry.read_options import ReadOptions
 from onboard.telemetry.srt_axis_order import Order
 from onboard.telemetry.telemetry_log import TelemetryLog
 
@@ -27,7 +28,7 @@ def subtitles(*texts: str, step_s: int = 1) -> str:
 def read(tmp_path: Path, *texts: str, order: Order | None = None, home_amsl_m: float | None = 100.0) -> TelemetryLog:
     path = tmp_path / "a.srt"
     path.write_text(subtitles(*texts), encoding="utf-8")
-    return read_log(path, home_amsl_m=home_amsl_m, gps_order=order)
+    return read_log(path, ReadOptions(home_amsl_m=home_amsl_m, gps_order=order))
 
 
 def first(log: TelemetryLog) -> tuple[float, float]:
@@ -138,7 +139,7 @@ def test_one_damaged_number_does_not_turn_the_order_of_the_others(tmp_path: Path
 def test_real_subtitles_of_several_models_lie_where_they_were_recorded(
     shared_data: Path, name: str, place: tuple[float, float], spread_deg: float
 ) -> None:
-    log = read_log(shared_data / "logs" / name, home_amsl_m=10.0 if name == "matrice_300.srt" else None)
+    log = read_log(shared_data / "logs" / name, ReadOptions(home_amsl_m=10.0 if name == "matrice_300.srt" else None))
     for fix in log.events:
         if isinstance(fix, PositionFix):
             assert (fix.lat_deg, fix.lon_deg) == pytest.approx(place, abs=spread_deg)
@@ -154,7 +155,7 @@ def test_the_stated_height_above_the_sea_covers_a_take_off_at_minus_130_m(shared
     sigma_m = claim(log).sigma_datum_m
     assert sigma_m is not None and abs(error_m) < 1.645 * sigma_m < 200.0
     assert any("--home-amsl-m" in note for note in log.notes)
-    known = read_log(shared_data / "logs" / name, home_amsl_m=1.0)
+    known = read_log(shared_data / "logs" / name, ReadOptions(home_amsl_m=1.0))
     assert claim(known).sigma_datum_m is None and not any("--home-amsl-m" in note for note in known.notes)
 
 
@@ -190,7 +191,9 @@ def placed(*offsets_m: float) -> list[str]:
 
 
 def test_two_rows_that_contradict_one_another_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"a\.srt: positions contradict one another: .* 4993 m and 1\.00 s apart"):
+    with pytest.raises(
+        InputError, match=r"a\.srt: an \.srt: positions contradict one another: .* 4993 m and 1\.00 s apart"
+    ):
         read(tmp_path, *placed(0.0, 5000.0))
     assert len([e for e in read(tmp_path, *placed(0.0, 250.0)).events if isinstance(e, PositionFix)]) == 2
 

@@ -16,6 +16,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from contract.errors import InputError
 from onboard.events.types import Attitude, GpsQuality, NavEvent, PositionFix
 from onboard.telemetry.log_files import read_log
+from onboard.telemetry.read_options import ReadOptions
 from onboard.telemetry.telemetry_log import TelemetryLog
 from onboard.telemetry.tlog_reader import read_tlog
 from tests.recorded_logs import recorded
@@ -138,10 +139,10 @@ def test_of_two_vehicles_in_a_log_none_is_read_until_one_is_chosen(tmp_path: Pat
         InputError, match=r"several vehicles in it \(1 ArduPilot fixed wing, 7 PX4 fixed wing\): set telemetry.system"
     ):
         read_log(path)
-    assert {fix.lat_deg for fix in of(read_log(path, system=1), PositionFix)} == {-43.38}
-    assert {fix.lat_deg for fix in of(read_log(path, system=7), PositionFix)} == {1e-6}
+    assert {fix.lat_deg for fix in of(read_log(path, ReadOptions(system=1)), PositionFix)} == {-43.38}
+    assert {fix.lat_deg for fix in of(read_log(path, ReadOptions(system=7)), PositionFix)} == {1e-6}
     with pytest.raises(InputError, match=r"no messages of system 3 \(but of 1, 7\)"):
-        read_log(path, system=3)
+        read_log(path, ReadOptions(system=3))
 
 
 def test_the_attitude_message_with_the_higher_rate_serves_alone(tmp_path: Path) -> None:
