@@ -444,8 +444,8 @@ def _add_importing(command: argparse.ArgumentParser) -> None:
         "--clock-offset",
         type=precise,
         metavar="S",
-        help="the camera's clock is so many seconds ahead of UTC, to as many digits as you know, or S+-SIGMA; else it "
-        "is searched over the log",
+        help="the camera's clock is so many seconds ahead of UTC (of the log's times where these are local), to as "
+        "many digits as you know, or S+-SIGMA; else it is searched over the log",
     )
     command.add_argument("--home-amsl-m", type=finite, metavar="M", help="as for replay")
 

@@ -57,6 +57,7 @@ class PhotoMetadata:
     band: tuple[int, str] | None = None  # of a rig of cameras that expose together: number and name
     stamp_is_utc: bool = False  # by a receiver's time, not by the camera's own clock
     gps_ns: int | None = None  # a receiver's time of its last fix (UTC), to the second as most cameras write it
+    height_origin_is_unnamed: bool = False  # above the sea, a geoid or the ellipsoid: its source does not state which
     place_lacks_side: bool = False  # a latitude and longitude without what side of the equator and of Greenwich
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 import bisect
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -42,6 +43,10 @@ ADVICE = (
     "GPS time in EXIF would tie it, and so would a picture of a GPS clock; where you know it, give --clock-offset S "
     "(the camera's clock is S seconds ahead of UTC, to as many digits as you know)"
 )
+LOCAL_ADVICE = (
+    "The log's times are local, of no stated zone: where you know it, give --clock-offset S (the camera's clock is S "
+    "seconds ahead of the log's, to as many digits as you know)"
+)
 
 
 def clock_of(
@@ -76,8 +81,18 @@ def clock_of(
     age_sigma_s = config.gps.sigma_latency_s
     found = search(Evidence(track, moments_ns, stamp_sigma_s, pairs, noises, log.shots_ns, age_sigma_s), stated)
     if isinstance(found, Unknown):
-        raise InputError(f"clock: {found.reason}: by how much the camera's is off is not known. {ADVICE}{advice}")
+        hint = LOCAL_ADVICE if log.utc_sigma_s is None else f"{ADVICE}{advice}"
+        raise InputError(f"clock: {found.reason}: by how much the camera's is off is not known. {hint}")
     return found
+
+
+def against_log(stated: Stated | None, log: TelemetryLog, is_given: bool) -> Stated | None:
+    """Return what a statement about the camera's clock against UTC is against the log's: as much less certain as that
+    is; nothing of a log whose times are local, but where `is_given`: then a person stated it of the log's times.
+    """
+    if stated is None or log.utc_sigma_s is None:
+        return stated if is_given else None
+    return replace(stated, sigma_s=math.hypot(stated.sigma_s, log.utc_sigma_s))
 
 
 def clock_row(clock: Clock) -> Row:

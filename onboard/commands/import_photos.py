@@ -18,7 +18,7 @@ from onboard.camera.file_stamps import read_stamps, spread_within_seconds, stamp
 from onboard.camera.photo_metadata import Focal, PhotoMetadata, read_photo
 from onboard.camera.picture_files import PICTURE_SUFFIXES
 from onboard.camera.rig_bands import one_band
-from onboard.commands.camera_clock import clock_of, clock_row, photographs
+from onboard.commands.camera_clock import against_log, clock_of, clock_row, photographs
 from onboard.commands.flight_folder import log_of, next_to, picture_folder
 from onboard.commands.imported_flight import (
     SIGMA_GIMBAL_DEG,
@@ -40,12 +40,14 @@ from onboard.config.schema import parse_config
 from onboard.foreign_clock.clock_search import Stated
 from onboard.replay.photo_telemetry import datum_sigma_m, gap_to_join_s, height_amsl, photo_telemetry, side_lacking
 from onboard.replay.runner import check_overlap
-from onboard.telemetry.log_files import read_log
+from onboard.telemetry.geo_reader import GeoPlace, read_geo
+from onboard.telemetry.log_files import format_of, read_log
 from onboard.telemetry.log_formats import SUFFIXES
 from onboard.telemetry.telemetry_log import NS_PER_S, TelemetryLog
 
 MIN_PHOTOS = 3
-STAMPS, CONFIG = "stamps.csv", "config.toml"  # of a flight's folder, next to its pictures or above them
+# Of a flight's folder, next to its pictures or above them.
+STAMPS, CONFIG, GEO = "stamps.csv", "config.toml", "geo.txt"
 SIGMA_READOUT_S = 0.003  # of a line's time that a picture states, times its rows
 SIGMA_TAG_S = 0.1  # of the moment of a tagged position: receivers give five to ten a second
 WHOLE_SECOND_S = 0.29  # evenly within a second
@@ -102,8 +104,11 @@ def run(arguments: argparse.Namespace) -> int:
     check_out(out)
     photos, times = _in_order(photos, arguments.utc_offset, next_to(folder, STAMPS))
     optics = optics_of(photos[0].size_px, _focal(photos), folder, settings)
-    log_path, log = _log(arguments, folder, photos, times)
+    photos, geo = _placed(photos, arguments.telemetry, next_to(folder, GEO))
+    log_path, log = (None, None) if geo is not None else _log(arguments, folder, photos, times)
     stated = _stated(photos, times, arguments.clock_offset)
+    if log is not None and not times.is_of_flight:
+        stated = against_log(stated, log, arguments.clock_offset is not None)
     config = None if log is None else _config_in(arguments.folder, folder)
     if config is not None:
         sections, assumed = sections_of(config), [("configuration", f"{config}, nothing guessed")]
@@ -136,6 +141,7 @@ def run(arguments: argparse.Namespace) -> int:
         ("times", _times_text(times)),
         ("camera", optics.text),
         *([("log", str(log_path))] if log_path is not None else []),
+        *([("places", str(geo))] if geo is not None else []),
         *assumed,
     ]
     if log is not None and arguments.home_amsl_m is not None:
@@ -182,6 +188,44 @@ def _log(
         )
     log = read_log(path, options_of(arguments.home_amsl_m, settings_of(arguments.set)))
     return path, log if log.shots_ns else replace(log, shots_ns=shots_in_folder(folder))
+
+
+def _placed(
+    photos: list[PhotoMetadata], named: Path | None, found: Path | None
+) -> tuple[list[PhotoMetadata], Path | None]:
+    """The photographs where a file of positions has them, and that file: the one that was named, else one that lies
+    with them, which replaces what they state, as OpenDroneMap takes it. Raises InputError where it lacks some of them.
+    """
+    if named is not None:
+        form = format_of(named)
+        path = named if form is not None and form.key == "geo" else None
+    else:
+        path = found
+    if path is None:
+        return photos, None
+    places = read_geo(path)
+    without = [photo.name for photo in photos if photo.name not in places]
+    if len(without) == len(photos) and named is None:
+        return photos, None  # of other pictures
+    if without:
+        raise InputError(f"positions {path}: none of {without[0]}, nor of {len(without) - 1} more of the photographs")
+    return [_placed_at(photo, places[photo.name]) for photo in photos], path
+
+
+def _placed_at(photo: PhotoMetadata, place: GeoPlace) -> PhotoMetadata:
+    return replace(
+        photo,
+        lat_deg=place.lat_deg,
+        lon_deg=place.lon_deg,
+        height_amsl_m=place.height_m,
+        height_is_ellipsoidal=False,
+        height_is_barometric=False,
+        height_origin_is_unnamed=True,
+        above_home_m=None,
+        sigma_horizontal_m=place.sigma_horizontal_m,
+        sigma_vertical_m=place.sigma_vertical_m,
+        place_lacks_side=False,
+    )
 
 
 def _stated(photos: list[PhotoMetadata], times: _Times, given: tuple[float, float] | None) -> Stated | None:
@@ -334,6 +378,7 @@ def _positions_text(photos: list[PhotoMetadata]) -> str:
     accuracy = f"+-{max(stated):.2g} m as they state" if stated else "+-1.5 m assumed"
     what = "from the ellipsoid (set gps.undulation_m)" if photos[0].height_is_ellipsoidal else "above sea level"
     what += " by barometer" if photos[0].height_is_barometric else ""
+    what = "of an unnamed origin" if photos[0].height_origin_is_unnamed else what
     return f"each picture's own, {accuracy}; heights {what}, +-{height_sigma_m:.3g} m"
 
 

@@ -16,7 +16,7 @@ from onboard.camera.file_stamps import stamp_from_name
 from onboard.camera.photo_lens import FULL_FRAME_DIAGONAL_MM
 from onboard.camera.photo_metadata import Focal
 from onboard.camera.video_times import creation_ns, frame_times_s, rate_text
-from onboard.commands.camera_clock import clock_of, clock_row, frames
+from onboard.commands.camera_clock import against_log, clock_of, clock_row, frames
 from onboard.commands.flight_folder import log_in_folder
 from onboard.commands.imported_flight import (
     ImportedFlight,
@@ -79,8 +79,10 @@ def run(arguments: argparse.Namespace) -> int:
     if log.video_epoch_ns is None:
         config = parse_config(config_text(sections, settings))
         pictures = frames(video, times_s)
+        is_given = arguments.start is None and arguments.clock_offset is not None
+        stated = against_log(began.stated, log, is_given)
         clock = clock_of(
-            replace(log, shots_ns=()), config, optics.camera, moments_ns, SIGMA_FRAME_S, pictures, began.stated, START
+            replace(log, shots_ns=()), config, optics.camera, moments_ns, SIGMA_FRAME_S, pictures, stated, START
         )
         began = replace(began, unix_ns=began.unix_ns + round(clock.offset_s * 1e9))
         sections["camera"] |= {"sigma_latency_s": f"{clock.sigma_s:.3f}"}

@@ -97,6 +97,8 @@ def datum_sigma_m(photo: PhotoMetadata, undulation_m: float | None) -> float | N
     """One sigma of where a photograph's height counts from, the same error in all of them; None if that is known."""
     if photo.height_is_ellipsoidal:
         return SIGMA_GEOID_M if undulation_m is None else None
+    if photo.height_origin_is_unnamed:
+        return SIGMA_GEOID_M
     return SIGMA_PRESSURE_HEIGHT_M if photo.height_is_barometric else None
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,11 +19,14 @@ from ground.formats import table
 from ground.recording import Recording
 from onboard.__main__ import main
 from onboard.camera.photo_metadata import read_photo
+from onboard.commands.camera_clock import against_log
 from onboard.config.files import load_config_files
 from onboard.config.schema import parse_config
 from onboard.events.types import Attitude, GimbalAttitude, PositionFix
+from onboard.foreign_clock.clock_search import Stated
 from onboard.replay.photo_telemetry import photo_telemetry
 from onboard.replay.runner import Flight
+from onboard.telemetry.telemetry_log import TelemetryLog
 from simulation.flight import DescribedSpec
 from simulation.paths import PathSpec
 from simulation.session import SessionSpec
@@ -314,6 +318,45 @@ def test_a_clock_that_nothing_ties_is_refused_by_that_name_until_it_is_stated(
     assert load_config_files(tmp_path / "flight" / "config.toml").camera.sigma_latency_s == pytest.approx(
         0.11, abs=0.01
     )
+
+
+def test_positions_by_name_go_before_the_photographs_own(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """OpenDroneMap's geo.txt next to them, or named; it must have all of them, in degrees."""
+    photos, made = tmp_path / "photos", tmp_path / "flight"
+    write_photographs(session, photos, Style())
+    names = sorted(path.name for path in photos.glob("*.JPG"))
+    lines = [f"{name} 172.4 {-43.0 - 1e-4 * k:.8f} {400 + k} 0 0 0 0.03 0.05" for k, name in enumerate(names)]
+    geo = photos / "geo.txt"
+    geo.write_text("\n".join(["EPSG:4326", *lines]))
+    assert main(["import-photos", str(photos), "--out", str(made)]) == 0
+    printed = capsys.readouterr().out
+    assert f"places     {geo}" in printed and "of an unnamed origin, +-40 m" in printed
+    with (made / "telemetry.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert [float(row["height_amsl_m"]) for row in rows] == [400.0 + k for k in range(len(names))]
+    stated = ("lon_deg", "sigma_horizontal_m", "sigma_vertical_m", "sigma_datum_m")
+    assert {tuple(row[name] for name in stated) for row in rows} == {("172.400000000", "0.03", "0.05", "40.0")}
+    command = ["import-photos", str(photos), "--telemetry", str(geo), "--out", str(tmp_path / "again")]
+    for content, printed in (
+        ("EPSG:4326\n" + "\n".join(lines[1:]), f"none of {names[0]}"),
+        ("EPSG:32759\n" + "\n".join(lines), "its coordinates are in EPSG:32759"),
+        ("EPSG:4326\n" + names[0] + " 172.4 x 400", "line 2: not name"),
+        ("EPSG:4326\n" + names[0] + " 172.4 -43.0", "line 2: not name"),
+    ):
+        geo.write_text(content)
+        assert main(command) == 2
+        assert printed in capsys.readouterr().err
+
+
+def test_what_is_stated_of_utc_is_worth_what_the_log_s_clock_is() -> None:
+    stated, log = Stated(12.0, 0.3, "the GPS time in EXIF"), TelemetryLog([], [])
+    assert against_log(stated, log, is_given=False) == stated
+    by_a_phone = against_log(stated, replace(log, utc_sigma_s=0.4), is_given=False)
+    assert by_a_phone is not None and by_a_phone.sigma_s == pytest.approx(0.5)
+    local = replace(log, utc_sigma_s=None)
+    assert against_log(stated, local, is_given=False) is None and against_log(stated, local, is_given=True) == stated
 
 
 # ---------------------------------------------------------------- single photographs

@@ -12,11 +12,14 @@ import numpy as np
 import pytest
 
 from contract.camera import Camera
+from contract.rotations import euler_from_matrix, matrix_from_quaternion
 from onboard.__main__ import main
 from onboard.camera.picture_files import open_frames
 from onboard.camera.video_times import creation_ns, frame_times_s, rate_text
 from onboard.commands.imported_flight import UNKNOWN, optics_of
 from onboard.config.files import load_config_files
+from onboard.events.types import Attitude, PositionFix
+from onboard.telemetry.log_files import read_log
 from simulation.flight import RecordedSpec
 from simulation.session import SessionSpec
 from tests.onboard.telemetry.log_writers import written
@@ -183,11 +186,33 @@ def test_what_is_missing_or_wrong_is_one_line_and_nothing_is_written(
     assert not (tmp_path / "flight").exists()
 
 
-@pytest.mark.parametrize(("arguments", "ahead_s"), [((), 7.3), (("--start", "2026-11-20T22:00:00Z"), 0.4)])
+def local_record(log: Path, to: Path, ahead_s: float) -> Path:
+    """The same flight as a DJI flight record whose times are local."""
+    rows = ["CUSTOM.date [local],CUSTOM.updateTime [local],OSD.latitude,OSD.longitude,OSD.height [m],OSD.altitude [m],"
+            "OSD.pitch,OSD.roll,OSD.yaw"]  # fmt: skip
+    events = read_log(log).events
+    turned = [event for event in events if isinstance(event, Attitude)]
+    for fix in (event for event in events if isinstance(event, PositionFix)):
+        at = datetime.fromtimestamp(fix.stamp_ns / 1e9 + ahead_s, UTC)
+        q = min(turned, key=lambda attitude: abs(attitude.stamp_ns - fix.stamp_ns)).q_ned_body
+        roll, pitch, yaw = np.degrees(euler_from_matrix(matrix_from_quaternion(q)))
+        rows.append(f"{at:%Y-%m-%d},{at:%H:%M:%S.%f},{fix.lat_deg:.8f},{fix.lon_deg:.8f},{fix.height_above_home_m},"
+                    f"{fix.height_amsl_m},{pitch:.2f},{roll:.2f},{yaw:.2f}")  # fmt: skip
+    to.write_text("\n".join([*rows, ""]))
+    return to
+
+
+@pytest.mark.parametrize(
+    ("arguments", "ahead_s", "zone_s"),
+    [((), 7.3, 0.0), (("--start", "2026-11-20T22:00:00Z"), 0.4, 0.0), (("--start",), 0.4, 46_800.0)],
+)
 def test_a_beginning_that_is_off_is_found_by_the_frames_own_motion(
-    tmp_path: Path, arguments: tuple[str, ...], ahead_s: float
+    tmp_path: Path, arguments: tuple[str, ...], ahead_s: float, zone_s: float
 ) -> None:
-    """A creation time of another clock, or one that a person gives to the second, was taken as good to 0.1 s."""
+    """A creation time of another clock, or one that a person gives to the second, was taken as good to 0.1 s.
+
+    And UTC that a person gives counts for nothing against a log's times that are local.
+    """
     spec = SessionSpec(
         RecordedSpec("plane_turn", 3.0, whole_log=True), seconds=24.0, rate_hz=2.5, clicks_per_frame=1,
         camera=Camera.from_field_of_view(400, 300, 70.0),
@@ -199,11 +224,12 @@ def test_a_beginning_that_is_off_is_found_by_the_frames_own_motion(
     video = tmp_path / f"{shown:%Y%m%dT%H%M%S}{shown.microsecond // 1000:03d}Z.mp4"
     write_video(session, video, subtitles=False)
     words = [*arguments[:1], *([f"{shown:%Y-%m-%dT%H:%M:%S}Z"] if arguments else [])]
-    assert (
-        imported(tmp_path, video, "--telemetry", session / "telemetry.tlog", *words, "--set", "camera.fov_deg=70") == 0
-    )
+    log = session / "telemetry.tlog"
+    if zone_s:
+        log = local_record(log, tmp_path / "record.csv", zone_s)
+    assert imported(tmp_path, video, "--telemetry", log, *words, "--set", "camera.fov_deg=70") == 0
     first = (tmp_path / "flight" / "stamps.csv").read_text().splitlines()[1]
-    assert float(first.split(",")[1]) == pytest.approx(began_s, abs=0.1)
+    assert float(first.split(",")[1]) == pytest.approx(began_s + zone_s, abs=0.1)
     assert load_config_files(tmp_path / "flight" / "config.toml").camera.sigma_latency_s < 0.2
 
 
