@@ -132,8 +132,8 @@ def read_srt(path: Path | str, home_amsl_m: float | None = None, gps_order: Orde
 
 def _subtitles(text: str) -> list[_Subtitle]:
     parts = [(match.groups()[:4], match[5]) for match in _DIALOGUE.finditer(text)]
-    if not parts:
-        found = list(_INTERVAL.finditer(text))
+    found = [] if parts else list(_INTERVAL.finditer(text))
+    if found:
         ends = [match.start() for match in found[1:]] + [len(text)]
         parts = [(match.groups(), text[match.end() : end]) for match, end in zip(found, ends, strict=True)]
     if len(parts) > 1 and not text.endswith("\n"):

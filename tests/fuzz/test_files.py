@@ -20,6 +20,7 @@ from ground.seen.area import read_area
 from onboard.config.schema import parse_config
 from onboard.estimation.boresight import Alignment
 from onboard.events.types import PositionFix
+from onboard.telemetry.geo_reader import read_geo
 from onboard.telemetry.log_files import read_log
 
 CAMERA = Camera.from_field_of_view(640, 480, 60.0)
@@ -49,6 +50,23 @@ SEEDS = {
     "a.srt": "".join(SRT.format(k) for k in range(3)),
     "log.csv": "unix_time_s,lat_deg,lon_deg,height_amsl_m\n1700000000.5,47.1,8.2,500\n1700000001.5,47.1,8.2,501\n",
 }
+MRK = "{0}\t27024{0}.350537\t[2097]\t -9,N\t 12,E\t 193,V\t47.1,Lat\t8.2,Lon\t500.5,Ellh\t0.010, 0.009, 0.024\t50,Q\n"
+LOGS = {
+    "log.airdata": "time(millisecond),datetime(utc),latitude,longitude,altitude_above_seaLevel(feet),"
+    "gimbal_pitch(degrees)\n0,2026-06-01 10:00:00,47.1,8.2,1650,-60\n100,2026-06-01 10:00:00,47.10001,8.2,1650,-60\n",
+    "log.dji": "sep=;\nCUSTOM.date [local];CUSTOM.updateTime [local];OSD.latitude;OSD.longitude;OSD.altitude [m]\n"
+    "6/1/2026;7:05:08.97 PM;47,1;8,2;500\n6/1/2026;7:05:09.07 PM;47,10001;8,2;500\n",
+    "log.gpx": '<?xml version="1.0"?><gpx><trk><trkseg><trkpt lat="47.1" lon="8.2"><ele>500</ele><hdop>1.2</hdop>'
+    "<time>2026-06-01T10:00:00Z</time></trkpt></trkseg></trk></gpx>",
+    "log.pos": "%  GPST  latitude(deg) longitude(deg)  height(m)   Q  ns   sdn(m)   sde(m)   sdu(m)\n"
+    "2026/06/01 10:00:00.000  47.1 8.2 500.5 5 12 0.4 0.4 0.6\n2421 122400.0 47.1 8.2 500.5 5 12 0.4 0.4 0.6\n",
+    "log.mrk": MRK.format(1) + MRK.format(2),
+    "log.ass": "[Script Info]\n[Events]\nDialogue: 0,0:00:01.00,0:00:02.00,Default,,0,0,0,,2026.6.1 10:00:01\\N"
+    "GPS(E: 8.2, N: 47.1, 500.5m) ReH:50.0\n",
+    "log.nmea": "$GPRMC,100000.00,A,4700.0000,N,00800.0000,E,9.7,90.0,010626,,,A*60\n"
+    "$GPGGA,100000.00,4700.0000,N,00800.0000,E,1,12,0.8,500.0,M,47.0,M,,*6B\n",
+}
+SEEDS |= LOGS | {"geo.txt": "EPSG:4326\nA.jpg 8.2 47.1 500 0 0 0 2.5 5.0\n"}
 ODD = (
     "1e999",
     "-1e999",
@@ -80,6 +98,8 @@ def _fed(name: str, text: str, path: Path) -> None:
         "area.geojson": lambda: read_area(path),
         "a.srt": lambda: _read_log(path),
         "log.csv": lambda: _read_log(path),
+        "geo.txt": lambda: read_geo(path),
+        **{log: lambda: _read_log(path) for log in LOGS},
     }
     readers.get(name, lambda: _read_pins(name, text))()
 
