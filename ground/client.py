@@ -300,6 +300,14 @@ class SetCache:
 
         Raises LinkError if it does not answer, WireError for a set this version cannot read.
         """
+        return self._ask(vehicle, f"{TIME_PARAMETER}={unix_s!r}")
+
+    def ask_measured(self, vehicle: str, frame: int, uv_px: tuple[float, float]) -> FeatureSet | None:
+        """The aircraft's set of a picture with a pixel of it measured, or why it is not; as `ask_at`, as long."""
+        pixel = [f"{key}={value!r}" for key, value in zip(PIXEL_PARAMETERS, uv_px, strict=True)]
+        return self._ask(vehicle, ";".join([f"{FRAME_PARAMETER}={frame}", *pixel]))
+
+    def _ask(self, vehicle: str, parameters: str) -> FeatureSet | None:
         with self._lock:
             session = self._session
         if session is None:
@@ -307,7 +315,7 @@ class SetCache:
         if isinstance(session, MavlinkSets):
             raise LinkError("single pictures cannot be asked for through the autopilot's radio")
         try:
-            reply = _replies(session, vehicle, f"?{TIME_PARAMETER}={unix_s!r}", self.dropped).get(vehicle)
+            reply = _replies(session, vehicle, f"?{parameters}", self.dropped).get(vehicle)
         except zenoh.ZError as error:
             raise LinkError(f"cannot ask {vehicle!r}: {error}") from error
         if reply is None:

@@ -55,7 +55,7 @@ export const api = {
   addClick: (id: string, body: ClickBody & { who: string; anyway?: boolean }) => asked<PinReply>(`/api/pins/${part(id)}/clicks`, "POST", body, [409, 422]),
   typedPin: (body: { lat_deg: number; lon_deg: number; sigma_m?: number; seen_utc?: string; name: string; category: string; who: string }) =>
     asked<PinReply>("/api/pins", "POST", body),
-  place: (body: ClickBody) => asked<PlaceReply>("/api/place", "POST", body),
+  place: (body: ClickBody & { measured?: boolean }) => asked<PlaceReply>("/api/place", "POST", body),
   coordinate: (text: string) => asked<CoordinateReply>(`/api/coordinate?text=${part(text)}`),
   importFile: (file: File, who: string) =>
     asked<{ imported: number; known: number; left_out: number; bad: string[] }>(`/api/import?name=${part(file.name)}&who=${part(who)}`, "POST", file),

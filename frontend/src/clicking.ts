@@ -8,18 +8,23 @@ import type { Following } from "./following.js";
 import type { PicturePane } from "./picture.js";
 import { kindOf } from "./shapes.js";
 import type { State } from "./state.js";
-import type { ClickAnswer, ClickBody, Pin, PinReply } from "./types.js";
+import type { ClickAnswer, ClickBody, Pin, PinReply, PlaceReply } from "./types.js";
 
 export class Clicking {
   private readonly answer = byId("answer");
   private count = 0;
   private pendingNew = 0;
+  private answered: { pin: string; click: string; ageS: number | null } | null = null; // of the answer that is shown
+  private looked = 0;
 
   following: Following | null = null; // is offered what was clicked
 
-  constructor(private readonly state: State) {}
+  constructor(private readonly state: State) {
+    state.on(["pins"], () => this.showAgain());
+  }
 
   show(text: string, kind: "ok" | "refused" | "note" = "note"): void {
+    this.answered = null;
     this.answer.dataset["kind"] = kind;
     this.answer.title = "";
     this.answer.textContent = text;
@@ -39,14 +44,24 @@ export class Clicking {
 
   /** Who may change nothing is shown the place. */
   private async look(body: ClickBody): Promise<void> {
+    const look = ++this.looked;
     this.show("...");
     try {
       const reply = await api.place(body);
-      if (reply.status === "ok") this.show(`${degrees(reply.lat_deg, reply.lon_deg, reply.ce90_m)}  ${within(reply.ce90_m)}  ${heightText(reply)}`, "ok");
-      else this.show(`Refused: ${reply.reason ?? reply.status}`, "refused");
+      this.showPlace(reply);
+      if (reply.status !== "ok" || this.state.server?.is_live !== true) return;
+      const measured = await api.place({ ...body, measured: true });
+      if (look === this.looked) this.showPlace(measured);
     } catch (error) {
       this.show(error instanceof Refused ? error.message : String(error), "refused");
     }
+  }
+
+  private showPlace(reply: PlaceReply): void {
+    if (reply.status !== "ok") { this.show(`Refused: ${reply.reason ?? reply.status}`, "refused"); return; }
+    const [words, meaning] = methodWords(reply);
+    this.show(`${degrees(reply.lat_deg, reply.lon_deg, reply.ce90_m)}  ${within(reply.ce90_m)}  ${heightText(reply)}  ${words}`, "ok");
+    this.answer.title = `${WITHIN_TITLE}; ${meaning}`;
   }
 
   private async make(body: ClickBody, picture: PicturePane, again: Pin | undefined, anyway: boolean): Promise<void> {
@@ -61,9 +76,9 @@ export class Clicking {
       const reply: PinReply = again === undefined ? await api.addPin({ click: body, category, who }) : await api.addClick(again.id, { ...body, who, anyway });
       if (reply.pin !== null) {
         picture.markers.done(key);
+        state.putPin(reply.pin, reply.revision);
         this.showPin(reply.pin, reply.answer);
         this.following?.clicked(body);
-        state.putPin(reply.pin, reply.revision);
       } else if (reply.apart_m !== undefined && again !== undefined) {
         picture.markers.refuse(key, reply.reason ?? "");
         this.offer(reply.apart_m, body, picture, again);
@@ -85,9 +100,21 @@ export class Clicking {
   }
 
   private showPin(pin: Pin, reply: ClickAnswer | null): void {
-    setText(this.answer, answerText(pin, reply));
-    this.answer.title = `${WITHIN_TITLE}; ${methodWords(reply?.method ?? "")[1]}`;
+    this.answer.replaceChildren(make("span", {}));
     this.answer.dataset["kind"] = "ok";
+    this.answered = { pin: pin.id, click: pin.clicks.at(-1)?.id ?? "", ageS: reply?.age_s ?? null };
+    this.showAgain();
+  }
+
+  /** The same answer by what is known of its pin now: the aircraft may have measured the click since. */
+  private showAgain(): void {
+    const answered = this.answered, pin = answered === null ? undefined : this.state.pins.get(answered.pin);
+    const click = pin?.clicks.find((one) => one.id === answered?.click), line = this.answer.querySelector("span");
+    if (answered === null || pin === undefined || click === undefined || line === null) return;
+    const isOpen = this.state.server?.is_live === true && click.method !== "measured" && click.unmeasured === "";
+    const [words, meaning] = methodWords(click);
+    setText(line, answerText(pin, `${words}${isOpen ? ", being measured ..." : ""}`, answered.ageS));
+    this.answer.title = `${WITHIN_TITLE}; ${meaning}`;
   }
 
   /** A click that contradicts its pin was not added: the pin is where it was, and the operator decides on the click. */
@@ -101,9 +128,9 @@ export class Clicking {
   }
 }
 
-function answerText(pin: Pin, reply: ClickAnswer | null): string {
+function answerText(pin: Pin, how: string, ageS: number | null): string {
   const place = pin.place, name = `${kindOf(pin.category).title} ${pin.number}`;
   if (place.status !== "ok") return `${name}: ${place.reason}`;
-  return `${name}: ${degrees(place.lat_deg, place.lon_deg, place.ce90_m)}  ${within(place.ce90_m)}  ${heightText(place)}` +
-    (reply === null ? "" : `  ${methodWords(reply.method ?? "")[0]}, picture ${reply.age_s === null ? "of unknown age" : `${age(reply.age_s)} old`}`);
+  return `${name}: ${degrees(place.lat_deg, place.lon_deg, place.ce90_m)}  ${within(place.ce90_m)}  ${heightText(place)}  ${how}, ` +
+    `picture ${ageS === null ? "of unknown age" : `${age(ageS)} old`}`;
 }

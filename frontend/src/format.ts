@@ -1,5 +1,7 @@
 // Numbers and times as people read them.
 
+import type { How } from "./types.js";
+
 // As ground/formats/rounded.py: rounding moves a place by at most this share of its 90 % radius.
 const SHARE = 0.2, UNKNOWN_M = 5, METRES_A_DEGREE = 111_700, MOST_DECIMALS = 7;
 
@@ -36,10 +38,24 @@ export function heightText(place: { height_amsl_m: number | null; height_ellipso
   return `${height.toFixed(digits)} m above ${place.height_amsl_m !== null ? "sea level" : "the ellipsoid"}`;
 }
 
-/** How a place came about: the word, and what it means. */
-export function methodWords(method: string): [string, string] {
+/** How a place came about: in a few words, and what they mean. */
+export function methodWords(how: How | undefined): [string, string] {
+  const [words, meaning] = meant(how);
+  return how === undefined || how.unmeasured === "" ? [words, meaning] : [words, `${meaning}; not measured by itself: ${how.unmeasured}`];
+}
+
+/** Height above the ground around it; one sigma. */
+function aboveText(metres: number, sigma: number): string {
+  return `${Math.abs(metres).toFixed(1)} m ${metres < 0 ? "below" : "above"} the ground ± ${sigma.toFixed(1)} m (1σ)`;
+}
+
+function meant(how: How | undefined): [string, string] {
+  const method = how?.method ?? "";
   switch (method) {
-    case "interpolated": return ["measured", "between ground points that were measured from several pictures"];
+    case "measured": return [
+      how!.above_ground_m === null ? "measured" : `measured, ${aboveText(how!.above_ground_m, how!.sigma_above_ground_m ?? 0)}`,
+      "the clicked spot itself was found in other pictures; the height is that above the ground around it"];
+    case "interpolated": return ["between measured points", "on the ground between points that were measured from several pictures"];
     case "plane": return ["beyond what was measured", "on the ground plane through the measured points, outside of them"];
     case "terrain": return ["from terrain", "where the line of sight meets the terrain model"];
     case "entered": return ["typed", "a coordinate that was typed or imported"];

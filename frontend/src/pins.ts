@@ -33,6 +33,7 @@ export class PinList {
   private height = 0;
   private top = 0;
   private cardOf = "";
+  private structureOf = ""; // of the card: what else than a place and its accuracy it shows
 
   constructor(private readonly state: State, private readonly actions: PinActions) {
     this.list.addEventListener("scroll", () => { this.top = this.list.scrollTop; this.draw(); }, { passive: true });
@@ -144,13 +145,29 @@ export class PinList {
   private showCard(): void {
     const pin = this.state.selected === null ? undefined : this.state.pins.get(this.state.selected);
     this.card.hidden = pin === undefined;
-    if (pin === undefined) { this.cardOf = ""; this.card.replaceChildren(); return; }
+    if (pin === undefined) { this.cardOf = this.structureOf = ""; this.card.replaceChildren(); return; }
     const version = `${pin.id} ${pin.modified_utc} ${JSON.stringify(pin.place)}`;
     if (version === this.cardOf) return;
+    const structure = JSON.stringify([pin.id, pin.name, pin.note, pin.category, pin.place.status, pin.clicks.map((click) => [click.id, click.who])]);
+    if (structure === this.structureOf) { this.cardOf = version; this.measuredNow(pin); return; }
     // A user who types keeps the field; others' changes appear when the user leaves it.
     if (this.cardOf.startsWith(pin.id) && this.card.contains(document.activeElement) && document.activeElement instanceof HTMLInputElement) return;
     this.cardOf = version;
+    this.structureOf = structure;
     this.card.replaceChildren(...this.content(pin));
+  }
+
+  /** Another place of the same clicks, as when the aircraft has measured one: in its place, and nothing else moves. */
+  private measuredNow(pin: Pin): void {
+    const held = this.card.querySelector(".facts"), wasOpen = held?.querySelector("details")?.open ?? false, facts = this.facts(pin);
+    const how = facts.querySelector("details");
+    if (how !== null) how.open = wasOpen;
+    held?.replaceWith(facts);
+  }
+
+  private facts(pin: Pin): HTMLElement {
+    const parts = pin.place.status === "ok" ? [make("div", { title: WITHIN_TITLE }, factText(pin)), howFound(pin), ...this.smaller(pin)] : [];
+    return make("div", { class: "facts" }, make("div", { class: "place" }, placeText(pin)), ...parts, make("div", { class: "by" }, byText(pin)));
   }
 
   private content(pin: Pin): Node[] {
@@ -181,9 +198,7 @@ export class PinList {
     ] : [
       again, ...(last === undefined ? [] : [button("Remove last click", "the pin is then where its other clicks put it", () => this.actions.removeClick(pin, last.id), "remove-last")]),
     ]), remove);
-    const method = methodWords(last?.method ?? "")[1];
-    const facts = make("div", { class: "facts" }, make("div", { class: "place" }, placeText(pin)), ...(pin.place.status === "ok" ? [make("div", { title: `${WITHIN_TITLE}; ${method}` }, factText(pin)), ...this.smaller(pin)] : []), make("div", { class: "by" }, byText(pin)));
-    return [head, make("div", { class: "card-body" }, crop, make("div", { class: "card-words" }, facts, note)), actions, seen, ...this.clicks(pin)];
+    return [head, make("div", { class: "card-body" }, crop, make("div", { class: "card-words" }, this.facts(pin), note)), actions, seen, ...this.clicks(pin)];
   }
 
   /** What a radius is mostly from, and what would make it smaller: of a flight that still runs, or of a recording's end. */
@@ -252,13 +267,19 @@ export function sureText(pin: Pin): string {
 function factText(pin: Pin): string {
   const place = pin.place;
   if (place.status !== "ok") return "";
-  const method = methodWords(pin.clicks.at(-1)?.method ?? "")[0];
-  return `${within(place.ce90_m)}, ${heightText(place)}${place.le90_m === null ? "" : `, 90 % within ${radius(place.le90_m)}`}; ${method}, ` +
-    `${place.clicks} click${place.clicks === 1 ? "" : "s"}${place.tied > 0 ? `, ${place.tied} known place${place.tied === 1 ? "" : "s"}` : ""}`;
+  return `${within(place.ce90_m)}, ${heightText(place)}${place.le90_m === null ? "" : `, 90 % within ${radius(place.le90_m)}`}`;
 }
 
-/** When it was seen, and who marked it: the click itself may be much later. */
+/** How its last click was answered; what that means, and why it was not measured, when it is asked for. */
+function howFound(pin: Pin): HTMLElement {
+  const [words, meaning] = methodWords(pin.clicks.at(-1));
+  return make("details", { class: "how", "data-testid": "how" }, make("summary", { title: meaning }, words), meaning);
+}
+
+/** Of how many clicks it is, when it was seen, and who marked it: the click itself may be much later. */
 function byText(pin: Pin): string {
   const seen = pin.seen_utc === null ? "time of sighting unknown" : `seen ${moment(pin.seen_utc)}`;
-  return `${seen}${pin.who === "" ? "" : `, marked by ${pin.who}`}`;
+  const place = pin.place.status === "ok" ? pin.place : { clicks: pin.clicks.length, tied: 0 };
+  const clicks = `${place.clicks} click${place.clicks === 1 ? "" : "s"}${place.tied > 0 ? `, ${place.tied} known place${place.tied === 1 ? "" : "s"}` : ""}`;
+  return `${clicks}, ${seen}${pin.who === "" ? "" : `, marked by ${pin.who}`}`;
 }

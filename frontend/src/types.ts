@@ -34,9 +34,12 @@ export type Place =
   | { status: "contradiction"; reason: string; answers: PlaceAnswer[] }
   | { status: "unplaced"; reason: string };
 
-export interface PinClick {
+/** How a click was answered: how high above the ground, if its pixel was measured by itself, or why it was not. */
+export interface How { method: string; above_ground_m: number | null; sigma_above_ground_m: number | null; unmeasured: string }
+
+export interface PinClick extends How {
   id: string; vehicle: string; session: number; frame: number | null; u_px: number | null; v_px: number | null;
-  who: string; method: string; clicked_utc: string; capture_utc: string | null;
+  who: string; clicked_utc: string; capture_utc: string | null;
 }
 
 export interface Pin {
@@ -75,7 +78,7 @@ export interface ClickAnswer {
 export interface PinReply { revision: number; pin: Pin | null; answer: ClickAnswer | null; apart_m?: number; reason?: string }
 
 /** What a pin at a pixel would be. */
-export type PlaceReply = { status: "ok"; method: string } & PlaceAnswer | { status: "refused"; reason?: string };
+export type PlaceReply = { status: "ok" } & How & PlaceAnswer | { status: "refused"; reason?: string };
 
 export interface CoordinateReply { lat_deg: number; lon_deg: number; form: string; texts: Record<string, string> }
 

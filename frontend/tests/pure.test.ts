@@ -193,8 +193,17 @@ test("a coordinate has the digits that its radius gives meaning to, as the serve
   for (const [ce90, places] of [[null, 5], [0.5, 6], [3.2, 6], [6, 5], [30, 5], [80, 4], [700, 3]] as const) assert.equal(decimals(ce90), places);
   assert.equal(degrees(-43.38012345, 172.40123456, 6), "-43.38012, 172.40123");
   assert.equal(within(3.21), "90 % within 3.3 m");
-  assert.equal(methodWords("interpolated")[0], "measured");
-  assert.equal(methodWords("terrain")[0], "from terrain");
+});
+
+test("an answer's words are how it was found, how high above the ground, and why it was not measured", () => {
+  const words = (method: string, above: number | null = null, unmeasured = ""): [string, string] =>
+    methodWords({ method, above_ground_m: above, sigma_above_ground_m: above === null ? null : 0.42, unmeasured });
+  assert.equal(words("measured", 6.13)[0], "measured, 6.1 m above the ground ± 0.4 m (1σ)");
+  assert.equal(words("measured", -1.27)[0], "measured, 1.3 m below the ground ± 0.4 m (1σ)");
+  assert.equal(words("interpolated")[0], "between measured points");
+  assert.equal(words("terrain")[0], "from terrain");
+  assert.match(words("interpolated", null, "two surfaces meet there")[1], /not measured by itself: two surfaces meet there/);
+  assert.doesNotMatch(words("interpolated")[1], /not measured/);
 });
 
 function pin(id: string, name: string): Pin {

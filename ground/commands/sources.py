@@ -21,8 +21,8 @@ from ground.dropped_messages import DroppedMessages
 from ground.freshness import Later, Reply, aged, too_old
 from ground.link_options import UsageError, add_tls_arguments, endpoint_of, tls_of
 from ground.recording import Recording
+from ground.unmeasured import NOT_TRIED
 
-NOT_TRIED = "the aircraft did not try"  # older software, tracks.enabled = false, or too much was asked at once
 NO_NAMES = "--file needs --from SESSION.mcap: picture names do not cross the link; use --frame or --time"
 
 

@@ -22,6 +22,7 @@ from contract.errors import InputError
 from contract.feature_set import FeatureSet, SharedErrors
 from contract.locate import Locator
 from ground.pins.reading import Reader
+from ground.unmeasured import MOST_CHARACTERS
 
 Array = NDArray[np.float64]
 
@@ -148,6 +149,9 @@ class PinClick:
     v_px: float | None = None
     capture_unix_ns: int | None = None
     errors: ClickErrors | None = None
+    above_ground_m: float | None = None  # of what was measured by itself, and its one sigma
+    sigma_above_ground_m: float | None = None
+    unmeasured: str = ""  # why it was not, where that was asked for
 
     @classmethod
     def of(
@@ -168,7 +172,8 @@ class PinClick:
             fix.lat_deg, fix.lon_deg, fix.height_ellipsoid_m, fix.height_amsl_m, fix.covariance_enu_m2,
             who, time.time_ns() if clicked_unix_ns is None else clicked_unix_ns, fix.method,
             vehicle=fix.vehicle, session=feature_set.session, frame=fix.frame, u_px=u, v_px=v,
-            capture_unix_ns=fix.capture_unix_ns, errors=errors,
+            capture_unix_ns=fix.capture_unix_ns, errors=errors, above_ground_m=fix.above_ground_m,
+            sigma_above_ground_m=fix.sigma_above_ground_m, unmeasured=fix.unmeasured,
         )  # fmt: skip
 
     @classmethod
@@ -228,6 +233,9 @@ class PinClick:
             "v_px": self.v_px,
             "capture_unix_ns": self.capture_unix_ns,
             "errors": None if self.errors is None else self.errors.to_dict(),
+            "above_ground_m": self.above_ground_m,
+            "sigma_above_ground_m": self.sigma_above_ground_m,
+            "unmeasured": self.unmeasured,
         }
 
     @classmethod
@@ -243,6 +251,8 @@ class PinClick:
             r.text("vehicle", MAX_WHO), r.whole("session"), r.maybe("frame", r.whole),
             r.maybe("u_px", r.pixel), r.maybe("v_px", r.pixel), r.maybe("capture_unix_ns", r.whole),
             ClickErrors.from_dict(r.get("errors")) if has_errors else None,
+            r.maybe("above_ground_m", r.height), r.maybe("sigma_above_ground_m", lambda name: r.number(name, 0.0, 1e5)),
+            r.maybe("unmeasured", lambda name: r.text(name, MOST_CHARACTERS)) or "",
         )  # fmt: skip
 
 

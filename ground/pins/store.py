@@ -171,6 +171,33 @@ class PinStore:
 
         return self._modified(pin_id, who, "lost a click", fewer)
 
+    def measure(self, pin_id: str, click: PinClick) -> Pin | None:
+        """Put a click in the place of the one of its id, as if it had been answered so at once: also in what undo and
+        redo bring back. None if the pin has no such click now.
+        """
+        with self._file.writing():
+            held = self._held(pin_id)
+            if held is None:
+                return None
+            for seq, *docs in self._file.rows(
+                "SELECT seq, before, after FROM changed WHERE kind = 'pin' AND id = ?", pin_id
+            ):
+                then = (
+                    None if doc is None else _with_click(Pin.from_dict(self._file.json(doc)), click) for doc in docs
+                )
+                self._file.rows(
+                    "UPDATE changed SET before = ?, after = ? WHERE seq = ? AND kind = 'pin' AND id = ?",
+                    *(None if pin is None else _text(pin.to_dict()) for pin in then), seq, pin_id,
+                )  # fmt: skip
+            if click.id not in {one.id for one in held.clicks}:
+                return None
+            self._file.bump("revision")
+            stamp = max(self._now_ns(), held.modified_unix_ns + 1)
+            after = replace(_with_click(held, click), modified_unix_ns=stamp)
+            Pin.from_dict(after.to_dict())
+            self._written(after)
+        return after
+
     def edit(
         self,
         pin_id: str,
@@ -453,6 +480,11 @@ def _merged(pins: dict[str, Pin], fresh: Sequence[Pin]) -> dict[str, Pin]:
     if stays and (not new or new[0].number > last):
         return known
     return {pin.id: pin for pin in sorted(known.values(), key=_NUMBER)}
+
+
+def _with_click(pin: Pin, click: PinClick) -> Pin:
+    """The pin with a click in the place of the one of its id."""
+    return replace(pin, clicks=tuple(click if one.id == click.id else one for one in pin.clicks))
 
 
 def _text(content: dict[str, Any]) -> str:

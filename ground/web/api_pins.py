@@ -8,7 +8,7 @@ import time
 from datetime import datetime
 from typing import Annotated, Any
 
-from fastapi import APIRouter, HTTPException, Query, Response
+from fastapi import APIRouter, BackgroundTasks, HTTPException, Query, Response
 from pydantic import BaseModel, ConfigDict, Field
 
 from contract.answer import Fix
@@ -100,8 +100,9 @@ def pins(
 
 
 @router.post("/pins", status_code=201, summary="A pin at a click (422 with the reason if it is refused)")
-def add(context: Context, body: NewPin) -> Response:
+def add(context: Context, body: NewPin, background: BackgroundTasks) -> Response:
     answer: dict[str, Any] | None = None
+    clicked: Clicked | None = None
     if body.click is not None:
         clicked = _clicked(context, body.click)
         answer = answer_json(clicked.answer.to_json())
@@ -120,6 +121,8 @@ def add(context: Context, body: NewPin) -> Response:
         [made], name=body.name, note=body.note, category=body.category, who=body.who, crop=context.crop_of(made)
     )
     context.changed(pin.id)
+    if clicked is not None and context.source.is_live:
+        background.add_task(context.measure, pin.id, clicked, made)
     return _reply(context, pin, answer)
 
 
@@ -133,13 +136,16 @@ def one(context: Context, pin_id: str) -> Response:
     status_code=201,
     summary="One more click on the same thing (409 with the distance if it contradicts the others)",
 )
-def add_click(context: Context, pin_id: str, body: MoreClick) -> Response:
+def add_click(context: Context, pin_id: str, body: MoreClick, background: BackgroundTasks) -> Response:
     pin = context.pin(pin_id)
     clicked = _clicked(context, body)
     answer = answer_json(clicked.answer.to_json())
     made = context.pin_click(clicked, body.u, body.v, body.who)
     if made is None:
         return _reply(context, None, answer)
+    first = made
+    if not body.anyway and context.contradicts(pin, made) is not None:
+        made = context.measured_click(clicked, made)  # a roof may contradict only by the height of its surroundings
     if not body.anyway and (apart_m := context.contradicts(pin, made)) is not None:
         reason = (
             f"this click is {apart_m:.0f} m from pin {pin.number}, more than the errors of both explain: "
@@ -148,6 +154,8 @@ def add_click(context: Context, pin_id: str, body: MoreClick) -> Response:
         return _json(json.dumps({"pin": None, "answer": answer, "apart_m": apart_m, "reason": reason}), 409)
     pin = context.store.add_click(pin_id, made, who=body.who, crop=context.crop_of(made))
     context.changed(pin.id)
+    if made is first and context.source.is_live:
+        background.add_task(context.measure, pin.id, clicked, made)
     return _reply(context, pin, answer)
 
 
@@ -218,14 +226,15 @@ def ties(context: Context) -> list[dict[str, Any]]:
 
 @router.post("/ties", status_code=201, summary="Tie a click to a surveyed place (409 with the figure if refused)")
 def add_tie(context: Context, body: NewTie, response: Response) -> dict[str, Any]:
-    clicked = _clicked(context, body.click)
+    click = body.click
+    clicked = context.clicker.measured(_clicked(context, click), click.u, click.v)
     if clicked.feature_set is None or not isinstance(clicked.answer, Fix):
         response.status_code = 422
         return {"tie": None, "answer": answer_json(clicked.answer.to_json())}
     tie = tie_of(
         clicked.feature_set,
         clicked.answer,
-        (body.click.u, body.click.v),
+        (click.u, click.v),
         lat_deg=body.lat_deg,
         lon_deg=body.lon_deg,
         height_m=body.height_m,

@@ -17,7 +17,7 @@ from ground.pins.fusion import Place
 from ground.web.advice import ADVICE
 from ground.web.context import ServerContext
 from ground.web.dependency import Context
-from ground.web.pin_json import place_json
+from ground.web.pin_json import method_json, place_json
 from ground.web.source import FrameRow, VehicleReport
 from ground.web.view import camera_place, frame_view
 
@@ -42,6 +42,12 @@ class ClickBody(BaseModel):
     u: float = Field(ge=-1e6, le=1e6, allow_inf_nan=False)
     v: float = Field(ge=-1e6, le=1e6, allow_inf_nan=False)
     session: int | None = Field(default=None, ge=0, le=2**63 - 1)
+
+
+class PlaceBody(ClickBody):
+    """`measured`: wait until the aircraft has measured the pixel by itself, or states why it has not."""
+
+    measured: bool = False
 
 
 # Routes below /api.
@@ -96,12 +102,14 @@ def click(context: Context, body: ClickBody) -> Response:
 
 
 @router.post("/place", summary="Where a pin at a pixel would be, ties applied, and how sure; nothing is kept")
-def place(context: Context, body: ClickBody) -> dict[str, Any]:
+def place(context: Context, body: PlaceBody) -> dict[str, Any]:
     clicked = context.clicker.click(body.vehicle, body.session, body.frame, body.u, body.v)
+    if body.measured:
+        clicked = context.clicker.measured(clicked, body.u, body.v)
     made = context.pin_click(clicked, body.u, body.v, "")
     found = None if made is None else context.places.of_clicks([made])
     if isinstance(found, Place) and made is not None:
-        return {"status": "ok", "method": made.method, **place_json(found)}
+        return {"status": "ok", **method_json(made), **place_json(found)}
     return answer_json(clicked.answer.to_json())
 
 

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from contract.answer import Answer, Refusal
+from contract.answer import Answer, Fix, Refusal
+from contract.errors import LinkError, WireError
 from contract.feature_set import FeatureSet, Status
 from contract.locate import Locator
 from ground.freshness import aged
+from ground.unmeasured import MOST_CHARACTERS, TOO_MANY
 from ground.web.source import Source
 
 KEPT_LOCATORS = 64
+MOST_MEASURED = 12  # questions to aircraft under way at once: the threads of requests are forty
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +35,7 @@ class Clicker:
     def __init__(self, source: Source) -> None:
         self._source = source
         self._lock = threading.Lock()
+        self._asking = threading.BoundedSemaphore(MOST_MEASURED)
         self._kept: OrderedDict[tuple[str, int, int], Locator] = OrderedDict()
 
     def click(self, vehicle: str, session: int | None, frame: int, u_px: float, v_px: float) -> Clicked:
@@ -44,6 +48,28 @@ class Clicker:
         locator = self.locator(found)
         answer = locator.locate(np.array([u_px, v_px]))
         return Clicked(aged(answer, self._source.age_s(found)), found, locator)
+
+    def measured(self, clicked: Clicked, u_px: float, v_px: float) -> Clicked:
+        """The answer once the aircraft has measured the pixel; where it has not, the first one with the reason.
+
+        Takes as long as `Source.measured`. What no aircraft could be asked about comes back as it is.
+        """
+        first, found = clicked.answer, clicked.feature_set
+        if not self._source.is_live or found is None or not isinstance(first, Fix):
+            return clicked
+        if not self._asking.acquire(blocking=False):
+            return replace(clicked, answer=replace(first, unmeasured=TOO_MANY))
+        try:
+            asked = self._source.measured(found, (u_px, v_px))
+        except (LinkError, WireError) as error:
+            return replace(clicked, answer=replace(first, unmeasured=str(error)[:MOST_CHARACTERS]))
+        finally:
+            self._asking.release()
+        locator = Locator(asked)
+        answer = aged(locator.locate(np.array([u_px, v_px])), self._source.age_s(asked))
+        if isinstance(answer, Fix):
+            return Clicked(answer, asked, locator)
+        return replace(clicked, answer=replace(first, unmeasured=answer.reason[:MOST_CHARACTERS]))
 
     def locator(self, feature_set: FeatureSet) -> Locator:
         """A set's Locator, once for each revision."""

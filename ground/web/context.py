@@ -6,7 +6,7 @@ import json
 import threading
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -85,6 +85,19 @@ class ServerContext:
         if clicked.feature_set is None or not isinstance(clicked.answer, Fix):
             return None
         return PinClick.of(clicked.feature_set, clicked.answer, (u_px, v_px), who=who, locator=clicked.locator)
+
+    def measured_click(self, clicked: Clicked, made: PinClick) -> PinClick:
+        """The click of a pin once the aircraft has measured its pixel; where it has not, the same with the reason."""
+        assert made.u_px is not None and made.v_px is not None
+        found = self.clicker.measured(clicked, made.u_px, made.v_px)
+        again = self.pin_click(found, made.u_px, made.v_px, made.who)
+        return made if again is None else replace(again, id=made.id, clicked_unix_ns=made.clicked_unix_ns)
+
+    def measure(self, pin_id: str, clicked: Clicked, made: PinClick) -> None:
+        """Have a pin's click measured, which takes seconds at most, and put it in the place of the first."""
+        again = self.measured_click(clicked, made)
+        if again is not made and self.store.measure(pin_id, again) is not None:
+            self.changed(pin_id)
 
     def contradicts(self, pin: Pin, click: PinClick) -> float | None:
         """Distance (m) of a click from a pin that would have no place with it; None if it fits."""

@@ -29,6 +29,7 @@ from ground.link_pictures import PictureCache
 from ground.mavlink_endpoint import SCHEME
 from ground.report_view import subscriptions
 from ground.track_link import TrackLink
+from ground.unmeasured import NO_ANSWER, NOT_TRIED
 from ground.web.journal import Journal
 from ground.web.refill import Refill
 from ground.web.source import FrameRow, Picture, VehicleReport, Views
@@ -173,6 +174,18 @@ class LiveSource:
             status,
             trouble,
         )
+
+    def measured(self, feature_set: FeatureSet, uv_px: tuple[float, float]) -> FeatureSet:
+        """Asked over the session that listens, at the endpoint where the aircraft is received best."""
+        endpoint, cache = self._of(feature_set.vehicle)
+        if endpoint.startswith(SCHEME):
+            raise LinkError("clicks on the page are not measured through the autopilot's radio")
+        if cache is None:
+            raise LinkError(NO_ANSWER)
+        found = cache.ask_measured(feature_set.vehicle, feature_set.frame, uv_px)
+        if found is None or found.session != feature_set.session or found.clicked is None:
+            raise LinkError(NOT_TRIED)
+        return found
 
     def unfollowed(self, vehicle: str) -> str:
         """The reason from the way by which it is received, or from what it reports of itself."""

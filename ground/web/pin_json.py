@@ -7,6 +7,7 @@ from typing import Any
 from contract.answer import Ellipse, time_utc
 from ground.pins.fusion import Contradiction, Fused, Place, Vector
 from ground.pins.model import Pin, PinClick, Tie
+from ground.unmeasured import in_words
 
 
 def pin_json(pin: Pin, fused: Fused) -> dict[str, Any]:
@@ -68,9 +69,19 @@ def _click(click: PinClick) -> dict[str, Any]:
         "u_px": click.u_px,
         "v_px": click.v_px,
         "who": click.who,
-        "method": click.method,
+        **method_json(click),
         "clicked_utc": time_utc(click.clicked_unix_ns),
         "capture_utc": None if click.capture_unix_ns is None else time_utc(click.capture_unix_ns),
+    }
+
+
+def method_json(click: PinClick) -> dict[str, Any]:
+    """How a click was answered: how high above the ground, if it was measured by itself, or why it was not."""
+    return {
+        "method": click.method,
+        "above_ground_m": click.above_ground_m,
+        "sigma_above_ground_m": click.sigma_above_ground_m,
+        "unmeasured": in_words(click.unmeasured),
     }
 
 

@@ -91,6 +91,10 @@ class RecordedSource:
             vehicle, self._sessions[vehicle], newest[0], 0.0, None, None, None, self._statuses[vehicle]
         )
 
+    def measured(self, feature_set: FeatureSet, uv_px: tuple[float, float]) -> FeatureSet:
+        """Raises LinkError, always."""
+        raise LinkError("a recording: its clicks are answered between measured points")
+
     def unfollowed(self, vehicle: str) -> str:
         """Nothing can be followed in a recording; what was followed in flight is there."""
         return (

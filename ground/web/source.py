@@ -109,6 +109,13 @@ class Source(Protocol):
     def report(self, vehicle: str) -> VehicleReport:
         """The state of a vehicle."""
 
+    def measured(self, feature_set: FeatureSet, uv_px: tuple[float, float]) -> FeatureSet:
+        """Ask the aircraft to measure a pixel of a picture by itself; the set with what became of it.
+
+        Takes ANSWER_TIMEOUT_S at most. Raises LinkError with the reason, in words, if it is not asked or does not
+        answer; WireError for what cannot be read.
+        """
+
     def unfollowed(self, vehicle: str) -> str:
         """The reason why a vehicle can follow nothing that is clicked now; empty where it may be asked."""
 

@@ -76,6 +76,9 @@ class WithVideo:
     def report(self, vehicle: str) -> VehicleReport:
         return self._inner.report(vehicle)
 
+    def measured(self, feature_set: FeatureSet, uv_px: tuple[float, float]) -> FeatureSet:
+        return self._inner.measured(feature_set, uv_px)
+
     def unfollowed(self, vehicle: str) -> str:
         return self._inner.unfollowed(vehicle)
 

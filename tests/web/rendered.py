@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -15,6 +16,7 @@ from contract.errors import LinkError
 from contract.feature_set import FeatureSet, Status
 from contract.track import MOST_TRACKS, StartTrack, StopTrack, TrackRequest
 from contract.vehicle_status import VehicleStatus
+from ground.unmeasured import NOT_TRIED
 from ground.web.source import FrameRow, Picture, VehicleReport, Views
 from onboard.events.types import Frame
 from onboard.storage.mcap_writer import SessionRecorder
@@ -56,6 +58,11 @@ def record_rendered(path: Path, pictures: int = 12) -> None:
             out.write_set(made)
 
 
+def not_measured(feature_set: FeatureSet, uv_px: tuple[float, float]) -> FeatureSet:
+    """An aircraft that keeps no pictures."""
+    raise LinkError(NOT_TRIED)
+
+
 class FlyingSource:
     """Aircraft on a link, as fast as a test wants: `fly_to` is how many pictures have come of each. Serves `Source`.
 
@@ -73,6 +80,7 @@ class FlyingSource:
         self.asked: list[TrackRequest] = []
         self._followed = 0
         self.why_unfollowed = ""
+        self.measure: Callable[[FeatureSet, tuple[float, float]], FeatureSet] = not_measured
         self._lock = threading.Lock()
         self._first = rendered_set(0)
         self._encoded = [cv2.imencode(".jpg", rendered_picture(seed))[1].tobytes() for seed in range(50)]
@@ -124,6 +132,10 @@ class FlyingSource:
 
     def no_pictures(self) -> str:
         return ""
+
+    def measured(self, feature_set: FeatureSet, uv_px: tuple[float, float]) -> FeatureSet:
+        """As a test wants it."""
+        return self.measure(feature_set, uv_px)
 
     def unfollowed(self, vehicle: str) -> str:
         """As a test wants it."""

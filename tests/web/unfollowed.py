@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from contract.errors import LinkError
+from contract.feature_set import FeatureSet
 from contract.track import TrackRequest
+from ground.unmeasured import NOT_TRIED
 from ground.web.source import Views
 
 
@@ -11,6 +13,10 @@ class Unfollowed:
     """A part of `Source`. Paths and spots are every such source's: nothing is put into them."""
 
     views = Views()
+
+    def measured(self, feature_set: FeatureSet, uv_px: tuple[float, float]) -> FeatureSet:
+        """No one does."""
+        raise LinkError(NOT_TRIED)
 
     def unfollowed(self, vehicle: str) -> str:
         """No one does."""
