@@ -10,10 +10,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from contract.errors import InputError
-from onboard.events.types import Attitude, GimbalAttitude, GpsQuality, NavEvent, PositionFix, RangeFinder
+from onboard.events.types import GpsQuality, NavEvent, PositionFix, RangeFinder
 from onboard.telemetry.contradictions import agreeing
 from onboard.telemetry.srt_axis_order import METRES_A_DEGREE
-from onboard.telemetry.telemetry_log import TelemetryLog, quaternion, vouched, with_news
+from onboard.telemetry.telemetry_log import TelemetryLog, attitudes, gimbal_attitudes, vouched, with_news
 
 POSITION = ("lat_deg", "lon_deg", "height_amsl_m")
 VELOCITY = ("velocity_north_m_s", "velocity_east_m_s", "velocity_down_m_s")
@@ -53,9 +53,7 @@ def log_of_rows(
         new = with_news(positions)
         positions, claims = [positions[at] for at in new], [claims[at] for at in new]
     agree, contradictions = agreeing(positions)
-    events = vouched([positions[at] for at in agree], [claims[at] for at in agree])
-    for stamp_ns, row in ordered:
-        events += _others(stamp_ns, row)
+    events = vouched([positions[at] for at in agree], [claims[at] for at in agree]) + _others(ordered)
     return replace(TelemetryLog.by_stamp(events), notes=(*notes, *contradictions), utc_sigma_s=utc_sigma_s)
 
 
@@ -129,18 +127,14 @@ def _claim(stamp_ns: int, row: Row) -> GpsQuality:
     )
 
 
-def _others(stamp_ns: int, row: Row) -> list[NavEvent]:
-    out: list[NavEvent] = []
-    if all(name in row for name in ATTITUDE):
-        rate = (row[RATE[0]], row[RATE[1]], row[RATE[2]]) if RATE[0] in row else None
-        out.append(Attitude(stamp_ns, _quaternion(row, ATTITUDE), rate))
-    if all(name in row for name in GIMBAL):
-        out.append(GimbalAttitude(stamp_ns, _quaternion(row, GIMBAL), "earth", is_of_camera=True))
-    if row.get("range_down_m", 0.0) > 0.0:
-        out.append(RangeFinder(stamp_ns, row["range_down_m"], DOWN))
-    return out
+def _others(rows: Rows) -> list[NavEvent]:
+    turned = [(stamp_ns, row) for stamp_ns, row in rows if all(name in row for name in ATTITUDE)]
+    rates = [_three(row, RATE) if RATE[0] in row else None for _, row in turned]
+    out = attitudes([(stamp_ns, _three(row, ATTITUDE)) for stamp_ns, row in turned], rates)
+    out += gimbal_attitudes([(t, _three(row, GIMBAL)) for t, row in rows if all(name in row for name in GIMBAL)])
+    ranged = [(stamp_ns, row["range_down_m"]) for stamp_ns, row in rows if row.get("range_down_m", 0.0) > 0.0]
+    return out + [RangeFinder(stamp_ns, distance_m, DOWN) for stamp_ns, distance_m in ranged]
 
 
-def _quaternion(row: Row, names: tuple[str, str, str]) -> tuple[float, float, float, float]:
-    roll, pitch, yaw = (row[name] for name in names)
-    return quaternion((roll, pitch, yaw))
+def _three(row: Row, names: tuple[str, str, str]) -> tuple[float, float, float]:
+    return row[names[0]], row[names[1]], row[names[2]]

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import TypeGuard
 
 from contract.errors import InputError
-from onboard.events.types import Attitude, GimbalAttitude, GpsQuality, NavEvent, PositionFix
+from onboard.events.types import GpsQuality, NavEvent, PositionFix
 from onboard.telemetry.contradictions import agreeing, beginning
 from onboard.telemetry.row_events import SIGMA_PRESSURE_HEIGHT_M, SIGMA_UNSPECIFIED_M
 from onboard.telemetry.srt_axis_order import (
@@ -33,7 +33,7 @@ from onboard.telemetry.srt_axis_order import (
     UnlabelledPlace,
     axis_order,
 )
-from onboard.telemetry.telemetry_log import TelemetryLog, quaternion, vouched, with_news
+from onboard.telemetry.telemetry_log import TelemetryLog, attitudes, gimbal_attitudes, vouched, with_news
 
 _NUMBER = r"([+-]?\d{1,9}(?!\d)(?:\.\d+)?)"
 _INTERVAL = re.compile(r"(\d+):(\d\d):(\d\d)[,.](\d{1,3})\s*-->\s*\d+:\d\d:\d\d[,.]\d{1,3}")
@@ -118,9 +118,7 @@ def read_srt(path: Path | str, home_amsl_m: float | None = None, gps_order: Orde
         raise InputError("no height above the take-off in its subtitles; leave --home-amsl-m out")
     agree, contradictions = agreeing(positions)
     positions, claims = [positions[at] for at in agree], [claims[at] for at in agree]
-    events = vouched(positions, claims)
-    for subtitle in subtitles:
-        events += _attitudes(subtitle, epoch_ns)
+    events = vouched(positions, claims) + _attitudes(subtitles, epoch_ns)
     return replace(
         TelemetryLog.by_stamp(events),
         video_epoch_ns=epoch_ns,
@@ -161,9 +159,13 @@ def _subtitle(at_ns: int, text: str) -> _Subtitle:
     if above is None and (height := _ABOVE_HOME.search(text)) is not None:
         above = float(height[1])
     place = _place(latitude, longitude)
-    angles = {kind: (float(r), float(p), float(y)) for kind, p, r, y in _ANGLES.findall(text)}
-    angles |= {kind[0]: (float(r), float(p), float(y)) for kind, y, p, r in _TURNED.findall(text)}
-    eis = _EIS.search(text)
+    # A plain search for a word first: a long file has each dialect's patterns looked for 72,000 times.
+    angles: dict[str, tuple[float, float, float]] = {}
+    if ".PRY" in text:
+        angles = {kind: (float(r), float(p), float(y)) for kind, p, r, y in _ANGLES.findall(text)}
+    if "Yaw" in text:
+        angles |= {kind[0]: (float(r), float(p), float(y)) for kind, y, p, r in _TURNED.findall(text)}
+    eis = _EIS.search(text) if "eis" in text else None
     return _Subtitle(
         at_ns,
         _date_ns(text),
@@ -219,7 +221,7 @@ def _satellites(third: str) -> int | None:
 
 def _dzoom(ratio: float | None, text: str) -> float | None:
     if ratio is None:
-        bare = _DZOOM.search(text)
+        bare = _DZOOM.search(text) if "DZOOM" in text else None
         ratio = None if bare is None else float(bare[1])
     if ratio is not None and ratio >= 0.1 * DZOOM_SCALE:
         ratio /= DZOOM_SCALE
@@ -337,11 +339,7 @@ def _is_an_attitude(angles_deg: tuple[float, float, float] | None) -> TypeGuard[
     return angles_deg is not None and max(map(abs, angles_deg)) <= 360.0
 
 
-def _attitudes(subtitle: _Subtitle, epoch_ns: int) -> list[NavEvent]:
-    stamp_ns = epoch_ns + subtitle.at_ns
-    out: list[NavEvent] = []
-    if _is_an_attitude(subtitle.body_deg):
-        out.append(Attitude(stamp_ns, quaternion(subtitle.body_deg)))
-    if _is_an_attitude(subtitle.gimbal_deg):
-        out.append(GimbalAttitude(stamp_ns, quaternion(subtitle.gimbal_deg), "earth", is_of_camera=True))
-    return out
+def _attitudes(subtitles: list[_Subtitle], epoch_ns: int) -> list[NavEvent]:
+    of_body = [(epoch_ns + s.at_ns, s.body_deg) for s in subtitles if _is_an_attitude(s.body_deg)]
+    of_gimbal = [(epoch_ns + s.at_ns, s.gimbal_deg) for s in subtitles if _is_an_attitude(s.gimbal_deg)]
+    return attitudes(of_body) + gimbal_attitudes(of_gimbal)
