@@ -1,6 +1,6 @@
 """A click and its answer, a small packet each, for links that carry no sets. docs/wire-format.md, section 13.
 
-A question has 20 bytes, an answer at most 60: both go into a MAVLink TUNNEL, whose checksum covers them.
+A question has 20 bytes, an answer at most 63: both go into a MAVLink TUNNEL, whose checksum covers them.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ import numpy as np
 
 from contract.answer import CHI2_2, Answer, Ellipse, Fix, Refusal
 from contract.errors import CorruptPayload, NewerPayload, TruncatedPayload
-from contract.feature_set import DepthSource, Status
+from contract.feature_set import DepthSource, Measured, Status
 from contract.wire.covariance_code import sigma_code, sigma_from_code
 from contract.wire.small_packet import first_byte
 
 TUNNEL_TYPE = 40_101  # MAVLink TUNNEL's payload_type; those from 32768 on are free
-MAX_QUESTION_BYTES, MAX_ANSWER_BYTES = 24, 60
+MAX_QUESTION_BYTES, MAX_ANSWER_BYTES, MAX_REFUSAL_BYTES = 24, 63, 60
 MAJOR = 1
 QUESTION, FIX, REFUSAL, TURNED_AWAY = 1, 2, 3, 4
 NEWEST, BY_FRAME, BY_TIME = 0, 1, 2
@@ -30,7 +30,8 @@ AGE_STEP_S, TIME_STEP_NS, OFFSET_STEP_M = 0.01, 10_000, 0.01
 ANGLE_STEP_DEG, HEIGHT_STEP_M, DEGREE = 180.0 / 65536.0, 0.001, 1e-9
 SHARE_STEP = 1.0 / 127.0  # of a correlation
 _SCALE = math.sqrt(CHI2_2)  # an ellipse's axis, in sigmas
-_METHODS = tuple(source.value for source in DepthSource)
+_METHODS = *(source.value for source in DepthSource), Measured.MEASURED.value
+NO_HEIGHT, ABOVE_STEP_M = -0x8000, 0.1
 _HAS_ELLIPSOID, _HAS_AMSL = 1, 2
 _STATUSES = tuple(Status)
 
@@ -38,6 +39,7 @@ _QUESTION = struct.Struct("<BHBqff")
 _TURNED_AWAY = struct.Struct("<BHBB")
 _HEAD = struct.Struct("<BHB3s6sH")  # kind, number, status or flags, frame, time, age
 _FIX = struct.Struct("<5s5si3sHHHHbb3s3s3s")
+_ABOVE = struct.Struct("<hH")  # of what was measured by itself: height above the ground and its sigma
 
 
 @dataclass(frozen=True)
@@ -94,18 +96,19 @@ def encode_question(question: ClickQuestion) -> bytes:
 
 
 def encode_answer(reply: ClickAnswer | TurnedAway) -> bytes:
-    """Encode in at most 60 bytes; a vehicle's name is cut at 8, a reason where the packet ends. Raises ValueError."""
+    """Encode in at most 63 bytes; a vehicle's name is cut at 8, a reason where the packet ends. Raises ValueError."""
     if isinstance(reply, TurnedAway):
         return _TURNED_AWAY.pack(MAJOR << 4 | TURNED_AWAY, reply.number, reply.low, reply.high)
     a = reply.answer
     name = cut_name(a.vehicle or "").encode()
     if isinstance(a, Refusal):
         head = _head(REFUSAL, reply.number, a.status.code, a)
-        text = _cut(a.detail, MAX_ANSWER_BYTES - len(head) - 1 - len(name))
+        text = _cut(a.detail, MAX_REFUSAL_BYTES - len(head) - 1 - len(name))
         return head + bytes([len(name)]) + name + text
     flags = _METHODS.index(a.method) << 2
     flags |= (a.height_ellipsoid_m is not None) * _HAS_ELLIPSOID | (a.height_amsl_m is not None) * _HAS_AMSL
-    return _head(FIX, reply.number, flags, a) + _place(a) + name
+    above = _above_ground(a) if a.method == Measured.MEASURED.value else b""
+    return _head(FIX, reply.number, flags, a) + _place(a) + above + name
 
 
 def turned_away(payload: bytes) -> TurnedAway | None:
@@ -166,6 +169,12 @@ def _place(a: Fix) -> bytes:
         )
     except (struct.error, OverflowError) as error:
         raise ValueError(f"an answer that has no encoding: {error}") from error
+
+
+def _above_ground(a: Fix) -> bytes:
+    if a.above_ground_m is None or a.sigma_above_ground_m is None or abs(a.above_ground_m) > 3000.0:
+        return _ABOVE.pack(NO_HEIGHT, 0)
+    return _ABOVE.pack(round(a.above_ground_m / ABOVE_STEP_M), sigma_code(a.sigma_above_ground_m))
 
 
 def _height_shares(a: Fix) -> tuple[int, int]:
@@ -244,7 +253,11 @@ def _read_fix(payload: bytes) -> ClickAnswer:
     ellipsoid_m = known_m + undulation_m if is_amsl else known_m
     ellipse = Ellipse(sigma_from_code(major), sigma_from_code(minor), azimuth * ANGLE_STEP_DEG)
     sigma_height_m = sigma_from_code(up)
-    name = payload[_HEAD.size + _FIX.size :]
+    rest, above, sigma_above = payload[_HEAD.size + _FIX.size :], NO_HEIGHT, 0
+    if _METHODS[method] == Measured.MEASURED.value:
+        above, sigma_above = _ABOVE.unpack_from(rest)
+        rest = rest[_ABOVE.size :]
+    has_above = above != NO_HEIGHT
     fix = Fix(
         lat_deg=lat_deg,
         lon_deg=lon_deg,
@@ -255,10 +268,12 @@ def _read_fix(payload: bytes) -> ClickAnswer:
         method=_METHODS[method],
         frame=frame,
         capture_unix_ns=time_ns,
-        vehicle=_text(name),
+        vehicle=_text(rest),
         offset_enu_m=np.array([_whole(c, signed=True) * OFFSET_STEP_M for c in offset]),
         covariance_enu_m2=_covariance(ellipse, sigma_height_m, shares),
         age_s=age_s,
+        above_ground_m=above * ABOVE_STEP_M if has_above else None,
+        sigma_above_ground_m=sigma_from_code(sigma_above) if has_above else None,
     )
     return ClickAnswer(number, fix)
 

@@ -123,6 +123,10 @@ def _clickers(args: argparse.Namespace) -> Iterator[tuple[AnyClicker, AnyClicker
     if args.connect and args.connect.startswith(SCHEME):
         if tls_of(args) is not None:
             raise UsageError("--credentials are for zenoh: leave them out with mavlink:...")
+        if args.interpolated:
+            raise UsageError(
+                "--interpolated is for zenoh: through the radio the aircraft answers with what it measured"
+            )
         with MavlinkLink(MavlinkEndpoint.parse(args.connect)) as link:
             yield AskedClicker(link, args.vehicle, max_age_s), AskedClicker(link, args.vehicle, math.inf)
     else:

@@ -114,7 +114,7 @@ def open_parts(config: Config, clock: SessionClock | None = None, open_camera: O
             threads.append(pictures.thread)
         optics = load_second_camera(config) if config.spots.enabled and config.camera.thermal.is_live else None
         tracks, (spots, second) = _tracks(config, link), _spots(config, link, clock, optics)
-        for one in (tracks, _measured(config, link), spots, second):
+        for one in (tracks, _measured(config, link, radio), spots, second):
             if one is not None:
                 sinks.append(one)
                 threads.append(one.thread)
@@ -178,12 +178,16 @@ def _tracks(config: Config, link: Publisher) -> TrackThread | None:
     return tracks
 
 
-def _measured(config: Config, link: Publisher) -> MeasureThread | None:
-    """Return the thread that measures clicked pixels, in the pictures that things are followed in."""
+def _measured(config: Config, link: Publisher, radio: AutopilotRadio | None) -> MeasureThread | None:
+    """Return the thread that measures the pixels that are clicked either way, in the pictures that things are followed
+    in.
+    """
     if not config.tracks.enabled:
         return None
     measured = MeasureThread(config)
     link.measure = measured.measure
+    if radio is not None:
+        radio.clicks.measure = measured.measure
     return measured
 
 

@@ -14,9 +14,9 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from contract.answer import Answer as ClickedAnswer
-from contract.answer import Refusal
+from contract.answer import Fix, Refusal
 from contract.errors import WireError
-from contract.feature_set import Status
+from contract.feature_set import FeatureSet, Status
 from contract.locate import Locator
 from contract.supervised_thread import Policy, SupervisedThread
 from contract.wire import click_code, codec
@@ -24,13 +24,14 @@ from contract.wire.click_code import ClickAnswer, ClickQuestion
 from contract.wire.radio_state import Held, RadioState, encode_state
 from onboard.events.tunnel import Peer
 from onboard.link.byte_budget import Bucket
-from onboard.link.reply import Answer, Question
+from onboard.link.reply import Answer, Measure, Question, not_measured
 
 MAX_WAITING = 8  # questions, and answers
 MAX_KEPT = 32  # answers, to be sent again
 # An answer counts as under way for this many times what it takes at our bit rate: asked again sooner, it is not lost.
 UNDER_WAY = 1.5
 IDLE_S = 0.5
+MEASURED_WITHIN_S = 0.5  # after which the answer goes without; a ground asks again after 1 s
 # Times that an answer went and its question came again: a radio that loses a tenth does that once in a thousand clicks.
 UNHEARD = 3
 
@@ -52,6 +53,7 @@ class ClickService:
     ) -> None:
         self._vehicle, self._look_up, self._now_ns = vehicle, look_up, now_ns
         self._overhead, self._bucket = overhead, bucket
+        self.measure: Measure = not_measured
         self._asked: deque[tuple[Peer, ClickQuestion, int]] = deque()
         self._ready: deque[tuple[Peer, bytes]] = deque()
         self._kept: OrderedDict[tuple[Peer, int], bytes] = OrderedDict()
@@ -158,9 +160,24 @@ class ClickService:
             return Refusal(Status(content["status"]), question.frame, vehicle=self._vehicle, detail=state)
         if self._locator is None or self._locator[0] != found.payload:
             self._locator = found.payload, Locator(codec.decode(found.payload))
-        answer = self._locator[1].locate((question.u_px, question.v_px))
+        uv_px = question.u_px, question.v_px
+        answer = self._locator[1].locate(uv_px)
+        if isinstance(answer, Fix) and (measured := self._measured(found.payload, uv_px)) is not None:
+            again = Locator(measured).locate(uv_px)
+            answer = again if isinstance(again, Fix) else answer
         age_s = about.get("age_s")
         return replace(answer, age_s=None if age_s is None else max(age_s - question.waited_s, 0.0))
+
+    def _measured(self, payload: bytes, uv_px: tuple[float, float]) -> FeatureSet | None:
+        """The set with what became of the pixel; None if it is not measured, or not in time."""
+        found: list[FeatureSet | None] = []
+        done = threading.Event()
+
+        def take(measured: FeatureSet | None) -> None:
+            found.append(measured)
+            done.set()
+
+        return found[0] if self.measure(payload, uv_px, take) and done.wait(MEASURED_WITHIN_S) else None
 
     def _found(self, question: ClickQuestion, at_ns: int) -> Answer | None:
         """Return the answer as for a query; None while it is being made.

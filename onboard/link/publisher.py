@@ -49,7 +49,17 @@ from onboard.events.types import Event, Frame
 from onboard.link.byte_budget import CONNECT_BYTES, PACKET_BYTES, SECURE_CONNECT_BYTES, USES, Budget, Kind, Use
 from onboard.link.packet import MAX_PAYLOAD, one_packet
 from onboard.link.pending_pictures import PendingPictures
-from onboard.link.reply import Answer, Question, SetClock, answer, not_placed, patience_s, refusal
+from onboard.link.reply import (
+    Answer,
+    Measure,
+    Question,
+    SetClock,
+    answer,
+    not_measured,
+    not_placed,
+    patience_s,
+    refusal,
+)
 from onboard.link.set_selection import REPEAT_S, Offer, Selection
 from onboard.link.socket_backlog import Backlog
 
@@ -155,7 +165,7 @@ class Publisher:
         # Answers queries that begin, end and list tracks: a payload, and whether it is a refusal.
         self.follow: Callable[[str], tuple[bytes, bool]] = not_followed
         # Measures a pixel of a packet's set and hands the set over with it, or None; False if that cannot be done now.
-        self.measure: Callable[[bytes, tuple[float, float], Callable[[FeatureSet | None], object]], bool] = not_measured
+        self.measure: Measure = not_measured
         self._is_closed = self._has_news = False
         self.watches: list[Callable[[Offer[bytes]], None]] = []  # shown every set as it is made
         self.sent = 0  # sets put on the link, without those asked for
@@ -465,11 +475,6 @@ def not_followed(_: str) -> tuple[bytes, bool]:
         "disabled",
         "this aircraft does not follow things: for its next flight set tracks.enabled = true in its configuration",
     ), True
-
-
-def not_measured(payload: bytes, uv_px: tuple[float, float], done: Callable[[FeatureSet | None], object]) -> bool:
-    """Answer for an aircraft that keeps no pictures."""
-    return False
 
 
 def _reply(waiting: _Waiting) -> None:

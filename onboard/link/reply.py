@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from contract.errors import WireError
-from contract.feature_set import Status
+from contract.feature_set import FeatureSet, Status
 from contract.history import Entry, History
 from contract.topics import ANSWER_TIMEOUT_S
 from contract.vehicle_status import VehicleStatus, decode_status
@@ -22,6 +23,16 @@ MOST_PX = 65535.0  # that a picture has
 PENDING = "placing pictures"
 # States of the daemon in which a missing first set is the camera's fault.
 CAMERA_STATES = ("camera lost", "camera silent", "camera frozen")
+
+
+# Measures a pixel of the set of a payload and calls the function with the set and what became of it, or with None, from
+# any thread; False if it does not take the question: then nothing is called.
+Measure = Callable[[bytes, tuple[float, float], Callable[[FeatureSet | None], object]], bool]
+
+
+def not_measured(payload: bytes, uv_px: tuple[float, float], done: Callable[[FeatureSet | None], object]) -> bool:
+    """Answer for an aircraft that keeps no pictures."""
+    return False
 
 
 @dataclass(frozen=True)

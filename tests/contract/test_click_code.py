@@ -40,6 +40,7 @@ FIX = Fix(
     covariance_enu_m2=np.array([[4.0, 1.0, 0.5], [1.0, 2.0, -1.0], [0.5, -1.0, 9.0]]),
     age_s=0.42,
 )
+MEASURED = replace(FIX, method="measured", above_ground_m=6.13, sigma_above_ground_m=0.42)
 PIXELS = st.floats(-1e4, 1e4, width=32)
 TIMES_NS = st.integers(0, 4 * 10**18)
 
@@ -127,9 +128,22 @@ def test_an_answer_is_read_back_from_60_bytes_or_fewer(
     assert vehicle.encode().startswith(found.vehicle.encode()) or not vehicle.isprintable()
 
 
-def test_rounding_happens_once() -> None:
-    first = fix_of(encode_answer(ClickAnswer(7, FIX)))
-    assert encode_answer(ClickAnswer(7, first)) == encode_answer(ClickAnswer(7, FIX))
+@pytest.mark.parametrize("fix", [FIX, MEASURED])
+def test_rounding_happens_once(fix: Fix) -> None:
+    first = fix_of(encode_answer(ClickAnswer(7, fix)))
+    assert encode_answer(ClickAnswer(7, first)) == encode_answer(ClickAnswer(7, fix))
+
+
+@given(st.none() | st.floats(-3000.0, 3000.0), st.floats(0.01, 500.0))
+def test_a_measured_answer_keeps_its_height_above_the_ground(above_m: float | None, sigma_m: float) -> None:
+    payload = encode_answer(ClickAnswer(7, replace(MEASURED, above_ground_m=above_m, sigma_above_ground_m=sigma_m)))
+    found = fix_of(payload)
+    assert len(payload) <= MAX_ANSWER_BYTES and (found.method, found.vehicle) == ("measured", "uav-1")
+    if above_m is None:
+        assert found.above_ground_m is None and found.sigma_above_ground_m is None
+    else:
+        assert found.above_ground_m == pytest.approx(above_m, abs=0.051)
+        assert found.sigma_above_ground_m == pytest.approx(sigma_m, rel=4e-4)
 
 
 @given(
@@ -178,9 +192,9 @@ def test_any_bytes_are_read_or_a_wire_error(payload: bytes) -> None:
         return
 
 
-@given(st.integers(0, 58), st.integers(0, 255))
-def test_a_changed_byte_is_read_or_a_wire_error(at: int, value: int) -> None:
-    payload = bytearray(encode_answer(ClickAnswer(7, replace(FIX, vehicle="12345678"))))
+@given(st.sampled_from([FIX, MEASURED]), st.integers(0, 58), st.integers(0, 255))
+def test_a_changed_byte_is_read_or_a_wire_error(fix: Fix, at: int, value: int) -> None:
+    payload = bytearray(encode_answer(ClickAnswer(7, replace(fix, vehicle="12345678"))))
     payload[at] = value
     try:
         found = decode(bytes(payload))
@@ -205,6 +219,7 @@ def test_what_is_cut_newer_or_never_was_is_distinguished() -> None:
 def test_the_bytes_stay_what_they_are() -> None:
     assert encode_question(ClickQuestion(258, 320.5, 240.25, frame=14)).hex() == GOLDEN_QUESTION
     assert encode_answer(ClickAnswer(258, FIX)).hex() == GOLDEN_FIX
+    assert encode_answer(ClickAnswer(258, MEASURED)).hex() == GOLDEN_MEASURED
     refusal = Refusal(Status.TURNING, 14, None, "uav-1", "ok: it turns", 0.5)
     assert encode_answer(ClickAnswer(258, refusal)).hex() == GOLDEN_REFUSAL
 
@@ -212,5 +227,9 @@ def test_the_bytes_stay_what_they_are() -> None:
 GOLDEN_QUESTION = "110201010e000000000000000040a04300407043"
 GOLDEN_FIX = (
     "12020103d2040039d09c359d9a2a00eb44a4f5f5b120de462824bb01001c2700b3bd5eba00600cbb01dbd20400d2e9ff579eff7561762d31"
+)
+GOLDEN_MEASURED = (
+    "1202010fd2040039d09c359d9a2a00eb44a4f5f5b120de462824bb01001c2700b3bd5eba00600cbb01dbd20400d2e9ff579eff3d003fae75"
+    "61762d31"
 )
 GOLDEN_REFUSAL = "130201070e00000000000000003200057561762d316f6b3a206974207475726e73"

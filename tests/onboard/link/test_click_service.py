@@ -5,7 +5,9 @@ from __future__ import annotations
 import dataclasses
 import json
 import random
+import time
 from collections import deque
+from collections.abc import Iterator
 
 import pytest
 
@@ -16,18 +18,23 @@ from contract.wire.click_code import ClickAnswer, ClickQuestion, decode, encode_
 from contract.wire.codec import decode as decode_set
 from contract.wire.codec import encode
 from ground.click_asking import Asking
+from onboard.config.schema import parse_config
 from onboard.events.tunnel import Peer
+from onboard.events.types import Frame
 from onboard.link.autopilot_radio import OVERHEAD
 from onboard.link.byte_budget import Bucket
-from onboard.link.click_service import MAX_WAITING, ClickService
-from onboard.link.reply import Answer, Question
+from onboard.link.click_service import MAX_WAITING, MEASURED_WITHIN_S, ClickService
+from onboard.link.reply import Answer, Measure, Question
+from onboard.service.measure_thread import MeasureThread
 from tests.contract.sets import plain_set
 from tests.onboard.link.pipe import HEARTBEAT_BYTES, Way, own_stream
+from tests.onboard.measured.step_world import CLICKED, EPOCH_NS, World
 
 SET = decode_set(encode(dataclasses.replace(plain_set(60), frame=7)))
 PAYLOAD = encode(SET)
 GROUND = Peer(245, 25)
 UV = (320.0, 240.0)
+WORLD = World(roof_m=8.0, seed=12)
 STEP_S = 0.01
 
 
@@ -73,6 +80,38 @@ def test_an_answer_is_that_of_the_set_with_the_age_it_had_when_the_question_came
     assert abs(found.answer.lat_deg - expected.lat_deg) <= 1e-9 and abs(found.answer.lon_deg - expected.lon_deg) <= 1e-9
     assert found.answer.ellipse.semi_major_m == pytest.approx(expected.ellipse.semi_major_m, rel=1e-3)
     assert (found.number, found.answer.frame, found.answer.age_s) == (5, 7, 0.25)
+
+
+@pytest.fixture(scope="module")
+def measuring() -> Iterator[MeasureThread]:
+    """A thread that has taken nine pictures of a roof."""
+    with MeasureThread(parse_config('[vehicle]\nid = "uav-1"\n')) as thread:
+        for number in range(9):
+            thread.event(0, Frame(EPOCH_NS + number * 10**9, number, WORLD.image(number)))
+            thread.feature_set(WORLD.its_set(number))
+        yield thread
+
+
+def roof_click(measure: Measure) -> tuple[Fix, float]:
+    """The answer to a click on it through the radio, and how long the service took, s."""
+    service = ClickService("uav-1", lambda _: Answer(encode(WORLD.its_set(CLICKED))), OVERHEAD, a_bucket(), Clock().ns)
+    service.measure = measure
+    began_s = time.monotonic()
+    (found,) = answered(service, ClickQuestion(5, 200.0, 85.0))
+    assert isinstance(found.answer, Fix)
+    return found.answer, time.monotonic() - began_s
+
+
+def test_the_answer_is_the_measured_one_or_in_time_the_interpolated_one(measuring: MeasureThread) -> None:
+    measured, _ = roof_click(measuring.measure)
+    assert measured.method == "measured" and measured.above_ground_m == pytest.approx(8.0, abs=1.0)
+    never, took_s = roof_click(lambda *_: True)
+    assert never.method == "interpolated" and took_s >= MEASURED_WITHIN_S
+    refused, _ = roof_click(lambda *_: False)
+    border, _ = roof_click(lambda payload, uv, done: measuring.measure(payload, (3.0, 3.0), done))
+    for fix in (never, refused, border):
+        assert fix.method == "interpolated" and fix.above_ground_m is None
+        assert fix.height_amsl_m == pytest.approx((measured.height_amsl_m or 0.0) - 8.0, abs=1.0)
 
 
 def test_what_the_aircraft_has_not_is_refused_and_what_is_being_made_is_not_answered_yet() -> None:
