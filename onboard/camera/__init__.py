@@ -16,6 +16,6 @@ Public:
 - `playback`: `PREFIX`
 - `pixel_formats`: `DECODERS`, `UNDECODABLE`
 - `rig_bands`: `one_band`
-- `video_times`: `creation_ns`, `frame_times_s`, `rate_text`
+- `video_times`: `frame_times_s`, `rate_text`
 - `v4l2_device`: `Control`, `Device`, `Sizes`, `V4l2Device`
 """

@@ -1,4 +1,4 @@
-"""The times of a video's frames by its container, and when it began.
+"""The times of a video's frames by its container.
 
 A camera that dropped frames wrote the others at their own times, not evenly.
 """
@@ -6,16 +6,11 @@ A camera that dropped frames wrote the others at their own times, not evenly.
 from __future__ import annotations
 
 import itertools
-import struct
 from pathlib import Path
-from typing import BinaryIO
 
 import cv2
 import numpy as np
 
-NS_PER_S = 1_000_000_000
-EPOCH_1904_S = -2_082_844_800  # of MP4 and QuickTime, as Unix time
-MIN_UNIX_S, MAX_UNIX_S = 946_684_800, 4_102_444_800  # 2000 to 2100: outside of it no clock was set
 EVEN = 0.1  # of the usual interval: by how much the others may differ in a video of constant rate
 GAP = 1.5  # usual spacings: a longer one has lost a frame
 UNDECODED = -1  # of CAP_PROP_FORMAT: packets as they are, which costs next to nothing
@@ -62,40 +57,3 @@ def rate_text(times_s: list[float]) -> str:
     if np.abs(apart_s - usual_s).max() <= EVEN * usual_s:
         return f"{1.0 / usual_s:.3g} frames a second"
     return f"a variable rate, {1.0 / apart_s.max():.2g} to {1.0 / apart_s.min():.3g} frames a second"
-
-
-def creation_ns(path: Path) -> int | None:
-    """Return when an MP4 or QuickTime file states that it began, to the second (Unix ns, taken as UTC); None if not."""
-    try:
-        with path.open("rb") as stream:
-            moov = _box(stream, 0, path.stat().st_size, b"moov")
-            header = None if moov is None else _box(stream, *moov, b"mvhd")
-            if header is None:
-                return None
-            stream.seek(header[0])
-            (version,) = struct.unpack(">B3x", stream.read(4))
-            (created_s,) = struct.unpack(">Q", stream.read(8)) if version else struct.unpack(">I", stream.read(4))
-    except (OSError, struct.error):
-        return None
-    unix_s = int(created_s) + EPOCH_1904_S
-    return unix_s * NS_PER_S if MIN_UNIX_S < unix_s < MAX_UNIX_S else None
-
-
-def _box(stream: BinaryIO, start: int, end: int, name: bytes) -> tuple[int, int] | None:
-    """Return begin and end of a box's content among those between two places (ISO 14496-12, 4.2); None if absent."""
-    at = start
-    while at + 8 <= end:
-        stream.seek(at)
-        size, kind = struct.unpack(">I4s", stream.read(8))
-        head = 8
-        if size == 1:
-            (size,) = struct.unpack(">Q", stream.read(8))
-            head = 16
-        if size == 0:
-            size = end - at
-        if size < head:
-            return None
-        if kind == name:
-            return at + head, at + size
-        at += size
-    return None

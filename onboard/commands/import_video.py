@@ -15,7 +15,7 @@ from contract.errors import InputError
 from onboard.camera.file_stamps import stamp_from_name
 from onboard.camera.photo_lens import FULL_FRAME_DIAGONAL_MM
 from onboard.camera.photo_metadata import Focal
-from onboard.camera.video_times import creation_ns, frame_times_s, rate_text
+from onboard.camera.video_times import frame_times_s, rate_text
 from onboard.commands.camera_clock import against_log, clock_of, clock_row, frames
 from onboard.commands.flight_folder import log_in_folder
 from onboard.commands.imported_flight import (
@@ -33,7 +33,9 @@ from onboard.foreign_clock.clock_search import Stated
 from onboard.replay.runner import check_overlap
 from onboard.telemetry.log_files import read_log
 from onboard.telemetry.log_formats import SUFFIXES
+from onboard.telemetry.mp4_container import creation_ns
 from onboard.telemetry.telemetry_log import NS_PER_S, TelemetryLog
+from onboard.telemetry.video_reader import has_telemetry, other_telemetry
 
 RATE_HZ = 5.0  # pictures taken out of a faster video: enough for the window, and for a person to look through
 CUT_S = (0.5, 0.29)  # by which a beginning cut to the second is too early, and one sigma of that
@@ -60,11 +62,14 @@ def run(arguments: argparse.Namespace) -> int:
     settings = settings_of(arguments.set)
     check_out(arguments.out)
     size_px = _size(video)
-    log_path = arguments.telemetry or log_in_folder(video.parent, video.stem)
+    log_path = (
+        arguments.telemetry or log_in_folder(video.parent, video.stem) or (video if has_telemetry(video) else None)
+    )
     if log_path is None:
+        what = other_telemetry(video)
         raise InputError(
-            f"{video}: no log of the flight next to it ({', '.join(SUFFIXES)}): name one. A DJI drone writes one "
-            "with 'Video Subtitles' on"
+            f"{video}: no log of the flight next to it ({', '.join(SUFFIXES)}): name one"
+            + f". In the video is {what}" * bool(what)
         )
     log = read_log(log_path, options_of(arguments.home_amsl_m, settings))
     times_s = frame_times_s(video)
@@ -124,6 +129,10 @@ def _beginning(video: Path, log: TelemetryLog, arguments: argparse.Namespace) ->
     """Return the beginning by the subtitles, else as given, by the name, or by the file. Raises InputError."""
     if log.video_epoch_ns is not None:
         return _Beginning(log.video_epoch_ns, "as the subtitles count")
+    if log.video_began is not None and arguments.telemetry in (None, video) and arguments.start is None:
+        began_ns, sigma_s = log.video_began
+        source = "the receiver's times in it"
+        return _Beginning(began_ns, source, Stated(0.0, sigma_s, source))
     if arguments.start is not None:
         start_ns, sigma_s = arguments.start
         return _Beginning(start_ns, "as given", Stated(0.0, sigma_s, "--start"))

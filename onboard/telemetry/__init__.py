@@ -8,9 +8,11 @@ Public:
 - `geo_reader`: `GeoPlace`, `read_geo`
 - `log_files`: `format_of`, `logs_among`, `read_log`
 - `log_formats`: `SUFFIXES`
+- `mp4_container`: `creation_ns`
 - `mrk_reader`: `read_mrk`
 - `read_options`: `ReadOptions`
 - `row_events`: `SIGMA_GEOID_M`, `SIGMA_PRESSURE_HEIGHT_M`
 - `srt_axis_order`: `Order`
 - `telemetry_log`: `MAX_GAP_S`, `NS_PER_S`, `TelemetryLog`, `quaternion`, `vouched`
+- `video_reader`: `has_telemetry`, `other_telemetry`
 """

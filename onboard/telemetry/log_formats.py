@@ -13,12 +13,14 @@ from contract.errors import InputError
 from onboard.telemetry import csv_reader, dataflash_reader, flight_tables, srt_reader, ulog_reader
 from onboard.telemetry.geo_reader import begins_geo
 from onboard.telemetry.gpx_reader import begins_gpx, read_gpx
+from onboard.telemetry.mp4_container import begins_mp4
 from onboard.telemetry.mrk_reader import begins_mrk, read_mrk_log
 from onboard.telemetry.nmea_reader import begins_nmea, read_nmea
 from onboard.telemetry.pos_reader import begins_pos, read_pos
 from onboard.telemetry.read_options import ReadOptions
 from onboard.telemetry.telemetry_log import TelemetryLog
 from onboard.telemetry.tlog_reader import read_tlog
+from onboard.telemetry.video_reader import read_video
 
 Reader = Callable[[Path, ReadOptions], TelemetryLog]
 
@@ -118,6 +120,12 @@ FORMATS = (
         "`gps.undulation_m`",
     ),
     LogFormat(
+        "mp4", "a video", ".mp4", "a box `ftyp`", begins_mp4, read_video,
+        "a track of subtitles, as an `.srt` has them; GoPro's GPMF: position, height above the ellipsoid or `MSLV` "
+        "+-40 m, when the video began +-0.5 s",
+        "`--home-amsl-m` or `--gps-order` in some dialects",
+    ),
+    LogFormat(
         "geo", "an OpenDroneMap geo.txt", ".txt", "`EPSG:4326`", begins_geo,
         instead="its positions belong to pictures by their names and have no times: give it to import-photos",
     ),
@@ -144,7 +152,8 @@ FORMATS = (
     ),
 )  # fmt: skip
 READ = tuple(each for each in FORMATS if each.read is not None)
-SUFFIXES = tuple(dict.fromkeys(each.suffix.lower() for each in READ))
+# Of files that lie next to pictures; a video there is another's.
+SUFFIXES = tuple(dict.fromkeys(each.suffix.lower() for each in READ if each.key != "mp4"))
 # A folder of pictures also has tracks of other things in it: these count only where there is no log of an aircraft.
 POSITIONS_ALONE = frozenset({".gpx", ".nmea", ".pos", ".mrk"})
 

@@ -103,7 +103,15 @@ def read_srt(path: Path | str, home_amsl_m: float | None = None, gps_order: Orde
         text = Path(path).read_bytes().decode("utf-8-sig", "replace")
     except OSError as error:
         raise InputError(f"{error.strerror}") from error
-    subtitles, notes = _ordered(_subtitles(text), gps_order)
+    return log_of_subtitles(_parts(text), home_amsl_m, gps_order)
+
+
+def log_of_subtitles(
+    parts: list[tuple[int, str]], home_amsl_m: float | None = None, gps_order: Order | None = None
+) -> TelemetryLog:
+    """Return the log of subtitles, each its time on the video's own (ns) and its text; otherwise as `read_srt`."""
+    found = [_subtitle(at_ns, _TAG.sub(" ", text)) for at_ns, text in parts if "\0" not in text]
+    subtitles, notes = _ordered(sorted(found, key=lambda subtitle: subtitle.at_ns), gps_order)
     placed = [s for s in subtitles if s.lat_deg is not None]
     if not placed:
         raise InputError(f"no position in its {len(subtitles)} subtitles: none was written, or there was no fix")
@@ -128,7 +136,8 @@ def read_srt(path: Path | str, home_amsl_m: float | None = None, gps_order: Orde
     )
 
 
-def _subtitles(text: str) -> list[_Subtitle]:
+def _parts(text: str) -> list[tuple[int, str]]:
+    """The subtitles of a file, each its time (ns) and its text."""
     parts = [(match.groups()[:4], match[5]) for match in _DIALOGUE.finditer(text)]
     found = [] if parts else list(_INTERVAL.finditer(text))
     if found:
@@ -138,12 +147,10 @@ def _subtitles(text: str) -> list[_Subtitle]:
         del parts[-1]  # it may be cut within a number
     out = []
     for (hours, minutes, seconds, fraction), content in parts:
-        if len(hours) > HOURS_DIGITS or "\0" in content:
-            continue  # damaged
-        whole = (int(hours) * 60 + int(minutes)) * 60 + int(seconds)
-        at_ns = whole * 1_000_000_000 + int(fraction.ljust(3, "0")) * 1_000_000
-        out.append(_subtitle(at_ns, _TAG.sub(" ", content)))
-    return sorted(out, key=lambda subtitle: subtitle.at_ns)
+        if len(hours) <= HOURS_DIGITS:
+            whole = (int(hours) * 60 + int(minutes)) * 60 + int(seconds)
+            out.append((whole * 1_000_000_000 + int(fraction.ljust(3, "0")) * 1_000_000, content))
+    return out
 
 
 def _subtitle(at_ns: int, text: str) -> _Subtitle:

@@ -30,8 +30,9 @@ class TelemetryLog:
     began. `video_epoch_ns`: when the video began that the log was written with, if it was written with one.
     `digital_zoom`: from which moment on the camera enlarged its pictures, and how often. `notes`: what the operator
     should know of how the log was read, one line each. `shots_ns`: when a camera's shutter was triggered or reported.
-    `utc_sigma_s`: one sigma of the stamps against UTC, 0 of a receiver's or of a clock that the configuration states;
-    None where they are local times of no stated zone, which nothing ties to UTC.
+    `video_began`: when the video began that the log lies in (ns), by a receiver whose delay is not known, and one sigma
+    of that (s). `utc_sigma_s`: one sigma of the stamps against UTC, 0 of a receiver's or of a clock that the
+    configuration states; None where they are local times of no stated zone, which nothing ties to UTC.
     """
 
     events: list[NavEvent]
@@ -43,6 +44,7 @@ class TelemetryLog:
     notes: tuple[str, ...] = ()
     shots_ns: tuple[int, ...] = ()
     utc_sigma_s: float | None = 0.0
+    video_began: tuple[int, float] | None = None
 
     @classmethod
     def by_stamp(cls, events: Iterable[NavEvent], boot_segments: int = 1) -> TelemetryLog:

@@ -15,14 +15,15 @@ from contract.camera import Camera
 from contract.rotations import euler_from_matrix, matrix_from_quaternion
 from onboard.__main__ import main
 from onboard.camera.picture_files import open_frames
-from onboard.camera.video_times import creation_ns, frame_times_s, rate_text
+from onboard.camera.video_times import frame_times_s, rate_text
 from onboard.commands.imported_flight import UNKNOWN, optics_of
 from onboard.config.files import load_config_files
 from onboard.events.types import Attitude, PositionFix
 from onboard.telemetry.log_files import read_log
+from onboard.telemetry.mp4_container import creation_ns
 from simulation.flight import RecordedSpec
 from simulation.session import SessionSpec
-from tests.onboard.telemetry.log_writers import written
+from tests.onboard.telemetry.log_writers import T0_S, gopro_seconds, with_track, written
 from tests.own_flights import set_creation, vary_rate, write_video
 from tests.scenarios.flights import simulated
 
@@ -231,6 +232,24 @@ def test_a_beginning_that_is_off_is_found_by_the_frames_own_motion(
     first = (tmp_path / "flight" / "stamps.csv").read_text().splitlines()[1]
     assert float(first.split(",")[1]) == pytest.approx(began_s + zone_s, abs=0.1)
     assert load_config_files(tmp_path / "flight" / "config.toml").camera.sigma_latency_s < 0.2
+
+
+def test_a_gopro_s_own_track_is_its_log_and_another_s_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    video = clip(tmp_path / "GX010042.MP4")
+    with_track(video, b"gpmd", *gopro_seconds())
+    assert imported(tmp_path, video) == 0
+    assert "the receiver's times in it" in capsys.readouterr().out
+    first = (tmp_path / "flight" / "stamps.csv").read_text().splitlines()[1]
+    assert float(first.split(",")[1]) == pytest.approx(T0_S, abs=0.1)
+    assert 0.4 < load_config_files(tmp_path / "flight" / "config.toml").camera.sigma_latency_s < 0.6
+    parrot = clip(tmp_path / "P0042.MP4")
+    with_track(parrot, b"mett", [b"x"], [0.0], b"application/vnd.parrot.videometadata")
+    assert main(["import-video", str(parrot), "--out", str(tmp_path / "other")]) == 2
+    complaint = capsys.readouterr().err
+    assert "no log of the flight next to it" in complaint and "In the video is a Parrot's telemetry" in complaint
+    assert "DJI" not in complaint
 
 
 def test_angles_in_the_log_say_how_the_camera_is_held(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import io
+import itertools
 import math
 import operator
 import struct
@@ -407,6 +408,75 @@ def mrk() -> bytes:
     return "\n".join([*rows, ""]).encode()
 
 
+def box(name: bytes, *content: bytes) -> bytes:
+    """A box of a container (ISO 14496-12)."""
+    return struct.pack(">I4s", 8 + len(b"".join(content)), name) + b"".join(content)
+
+
+def track(handler: bytes, kind: bytes, samples: list[bytes], starts_s: list[float], begin: int, about: bytes) -> bytes:
+    """A track whose samples lie one after the other from `begin` on; `about` describes them."""
+    apart = [round(1000 * (b - a)) for a, b in itertools.pairwise([*starts_s, starts_s[-1] + 1.0])][: len(samples)]
+    places = list(itertools.accumulate(map(len, samples), initial=begin))[: len(samples)]
+    table = box(
+        b"stbl", box(b"stsd", struct.pack(">4xI", 1), struct.pack(">I4s8x", 16 + len(about), kind) + about),
+        box(b"stts", struct.pack(f">4xI{2 * len(apart)}I", len(apart), *(n for each in apart for n in (1, each)))),
+        box(b"stsc", struct.pack(">4xI3I", 1, 1, 1, 1)),
+        box(b"stsz", struct.pack(f">4xII{len(samples)}I", 0, len(samples), *map(len, samples))),
+        box(b"stco", struct.pack(f">4xI{len(places)}I", len(places), *places)),
+    )  # fmt: skip
+    media = box(b"mdhd", struct.pack(">12xIIxxxx", 1000, 0)), box(b"hdlr", b"\0" * 8, handler, b"\0" * 13)
+    return box(b"trak", box(b"mdia", *media, box(b"minf", table)))
+
+
+def mp4(
+    kind: bytes, samples: list[bytes], starts_s: list[float], handler: bytes = b"meta", about: bytes = b""
+) -> bytes:
+    """A container with one track besides a video's empty one; what describes it stands before the content."""
+
+    def head(begin: int) -> bytes:
+        tracks = track(b"vide", b"avc1", [], [0.0], 0, b""), track(handler, kind, samples, starts_s, begin, about)
+        return box(b"ftyp", b"mp42\0\0\0\0") + box(b"moov", box(b"mvhd", bytes(100)), *tracks)
+
+    return head(len(head(0)) + 8) + box(b"mdat", *samples)
+
+
+def with_track(video: Path, kind: bytes, samples: list[bytes], starts_s: list[float], about: bytes = b"") -> None:
+    """Into a video of OpenCV's, whose tables stand last, another track."""
+    data = video.read_bytes()
+    at = data.rindex(b"moov") - 4
+    length = len(track(b"meta", kind, samples, starts_s, 0, about))
+    more = track(b"meta", kind, samples, starts_s, len(data) + length + 8, about)
+    video.write_bytes(data[:at] + box(b"moov", data[at + 8 :], more) + box(b"mdat", *samples))
+
+
+def gpmf(key: bytes, kind: bytes, size: int, content: bytes) -> bytes:
+    """One entry of GoPro's format."""
+    count = len(content) // size
+    return struct.pack(">4scBH", key, kind, size, count) + content + bytes(-len(content) % 4)
+
+
+def gopro_seconds() -> tuple[list[bytes], list[float]]:
+    """As a Hero 13 writes them: ten positions a second, each with its time; and when each second begins."""
+    samples, starts_s, every = [], [], list(moments(10))
+    for second in (every[k : k + 10] for k in range(0, len(every), 10)):
+        nine = b"".join(
+            struct.pack(
+                ">7i2H", round(m.lat * 1e7), round(LON * 1e7), round(1000 * (HOME_M + ABOVE_M + 11.0)), 20_000, 2000,
+                *divmod(round(1000 * (T0_S + m.t - 946_684_800)), 86_400_000), 100, 3,
+            )
+            for m in second
+        )  # fmt: skip
+        scales = struct.pack(">9i", 10**7, 10**7, 1000, 1000, 100, 1, 1000, 100, 1)
+        stream = gpmf(b"SCAL", b"l", 4, scales) + gpmf(b"TYPE", b"c", 1, b"lllllllSS") + gpmf(b"GPS9", b"?", 32, nine)
+        samples.append(gpmf(b"DEVC", b"\0", 1, gpmf(b"DVID", b"L", 4, bytes(4)) + gpmf(b"STRM", b"\0", 1, stream)))
+        starts_s.append(second[0].t)
+    return samples, starts_s
+
+
+def gopro() -> bytes:
+    return mp4(b"gpmd", *gopro_seconds())
+
+
 def _utc(t: float) -> str:
     at = datetime.fromtimestamp(T0_S + t, UTC)
     return f"{at:%Y-%m-%dT%H:%M:%S}.{at.microsecond // 1000:03d}"
@@ -414,7 +484,7 @@ def _utc(t: float) -> str:
 
 WRITERS: dict[str, Callable[[], bytes]] = {
     "tlog": tlog, "bin": dataflash, "ulg": ulog, "srt": srt, "csv": table, "airdata": airdata, "dji": dji_record,
-    "skydio": skydio, "gpx": gpx, "ass": ass, "nmea": nmea, "pos": pos, "mrk": mrk,
+    "skydio": skydio, "gpx": gpx, "ass": ass, "nmea": nmea, "pos": pos, "mrk": mrk, "mp4": gopro,
 }  # fmt: skip
 
 

@@ -85,6 +85,9 @@ KINDS = {
     "ass": replace(BARE, stamp_s=0.01, above_m=ABOVE_M, utc_sigma_s=None, options=ReadOptions(home_amsl_m=HOME_M)),
     "nmea": Promise(stamp_s=0.01, attitude_hz=0, has_rate=False, above_m=None),
     "pos": replace(BARE, claims=(0.4, 0.6, 12), undulation_m=11.0, options=ReadOptions(undulation_m=11.0)),
+    "mp4": replace(
+        BARE, claims=(2.5, 5.0, None), undulation_m=11.0, options=ReadOptions(undulation_m=11.0), least=(5, 40)
+    ),
     "mrk": replace(BARE, claims=(0.4, 0.6, None), undulation_m=11.0, options=ReadOptions(undulation_m=11.0)),
 }  # fmt: skip
 PAUSE_S = 600.0

@@ -1,0 +1,196 @@
+"""MP4 and QuickTime files: when they state that they began, and what tracks they have next to the pictures.
+
+Boxes and tables as ISO 14496-12 has them. Pictures are never read here.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from onboard.telemetry.row_events import MAX_UNIX_S, MIN_UNIX_S
+from onboard.telemetry.telemetry_log import NS_PER_S
+
+EPOCH_1904_S = -2_082_844_800  # of both formats, as Unix time
+MOST_TABLE = 64_000_000  # bytes of one table, and of one track's samples: an hour of telemetry has less
+MOST_SAMPLES = 2_000_000
+MOST_BOXES = 10_000  # among the same
+
+Box = tuple[bytes, int, int]  # kind, begin and end of the content
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """A track that has no pictures and no sound: its handler and the kind of its samples (four characters each), what
+    describes them, and each sample's time (s, on the video's own) and content.
+    """
+
+    handler: str
+    kind: str
+    description: bytes
+    times_s: tuple[float, ...]
+    samples: tuple[bytes, ...]
+
+
+def begins_mp4(head: bytes) -> bool:
+    """Return whether a file that begins with `head` is one of these."""
+    return head[4:8] in (b"ftyp", b"moov") or (head[4:8] in (b"wide", b"mdat") and head[:2] == b"\0\0")
+
+
+def creation_ns(path: Path) -> int | None:
+    """Return when a file states that it began, to the second (Unix ns, taken as UTC); None if it does not."""
+    try:
+        with path.open("rb") as stream:
+            moov = _first(stream, 0, path.stat().st_size, b"moov")
+            header = None if moov is None else _first(stream, *moov, b"mvhd")
+            if header is None:
+                return None
+            stream.seek(header[0])
+            (version,) = struct.unpack(">B3x", stream.read(4))
+            (created_s,) = struct.unpack(">Q", stream.read(8)) if version else struct.unpack(">I", stream.read(4))
+    except (OSError, struct.error):
+        return None
+    unix_s = int(created_s) + EPOCH_1904_S
+    return unix_s * NS_PER_S if MIN_UNIX_S < unix_s < MAX_UNIX_S else None
+
+
+def tracks_of(path: Path) -> list[Track]:
+    """Return the tracks that are neither pictures nor sound. Damaged ones are left out; of a file that is no such
+    container there are none.
+    """
+    out: list[Track] = []
+    try:
+        with path.open("rb") as stream:
+            moov = _first(stream, 0, path.stat().st_size, b"moov")
+            for kind, *content in _boxes(stream, *moov) if moov is not None else ():
+                if kind == b"trak" and (track := _track(stream, *content)) is not None:
+                    out.append(track)
+    except (OSError, struct.error):
+        return out
+    return out
+
+
+def _track(stream: BinaryIO, start: int, end: int) -> Track | None:
+    try:
+        media = dict(_inside(stream, start, end, b"mdia"))
+        handler = _read(stream, media[b"hdlr"])[8:12]
+        if handler in (b"vide", b"soun"):
+            return None
+        table = dict(_inside(stream, *media[b"minf"], b"stbl"))
+        entry = _read(stream, table[b"stsd"])[8:]
+        times_s = _times(_read(stream, table[b"stts"]), _rate_hz(_read(stream, media[b"mdhd"])))
+        sizes = _sizes(_read(stream, table[b"stsz"]))
+        chunks = (
+            _numbers(_read(stream, table[b"stco"]), 4)
+            if b"stco" in table
+            else _numbers(_read(stream, table[b"co64"]), 8)
+        )
+        places = _places(sizes, chunks, _read(stream, table[b"stsc"]))
+    except (KeyError, IndexError, ValueError, struct.error):
+        return None
+    if len(times_s) != len(sizes) or int(sizes.sum()) > MOST_TABLE:
+        return None
+    samples = []
+    for at, size in zip(places.tolist(), sizes.tolist(), strict=True):
+        stream.seek(at)
+        samples.append(stream.read(size))
+    return Track(_text(handler), _text(entry[4:8]), entry, tuple(times_s.tolist()), tuple(samples))
+
+
+def _inside(stream: BinaryIO, start: int, end: int, name: bytes) -> Iterator[tuple[bytes, tuple[int, int]]]:
+    """The boxes in the first box of that name. Raises KeyError without one."""
+    found = _first(stream, start, end, name)
+    if found is None:
+        raise KeyError(name)
+    for kind, *content in _boxes(stream, *found):
+        yield kind, (content[0], content[1])
+
+
+def _first(stream: BinaryIO, start: int, end: int, name: bytes) -> tuple[int, int] | None:
+    return next(((begin, stop) for kind, begin, stop in _boxes(stream, start, end) if kind == name), None)
+
+
+def _boxes(stream: BinaryIO, start: int, end: int) -> Iterator[Box]:
+    """The boxes between two places (4.2)."""
+    at = start
+    for _ in range(MOST_BOXES):
+        if at + 8 > end:
+            return
+        stream.seek(at)
+        size, kind = struct.unpack(">I4s", stream.read(8))
+        head = 8
+        if size == 1:
+            (size,) = struct.unpack(">Q", stream.read(8))
+            head = 16
+        if size == 0:
+            size = end - at
+        if size < head:
+            return
+        yield kind, at + head, min(at + size, end)
+        at += size
+
+
+def _read(stream: BinaryIO, content: tuple[int, int]) -> bytes:
+    if content[1] - content[0] > MOST_TABLE:
+        raise ValueError
+    stream.seek(content[0])
+    return stream.read(content[1] - content[0])
+
+
+def _rate_hz(header: bytes) -> float:
+    """The time units in a second, of a media header (8.4.2)."""
+    (units,) = struct.unpack_from(">I", header, 20 if header[0] else 12)
+    if units < 1:
+        raise ValueError
+    return float(units)
+
+
+def _numbers(table: bytes, width: int) -> NDArray[np.int64]:
+    """A table of counted numbers, after version and flags."""
+    (count,) = struct.unpack_from(">I", table, 4)
+    return np.frombuffer(table, f">u{width}", count, 8).astype(np.int64)
+
+
+def _times(table: bytes, units_hz: float) -> NDArray[np.float64]:
+    """Samples' times (8.6.1.2), s."""
+    (count,) = struct.unpack_from(">I", table, 4)
+    pairs = np.frombuffer(table, ">u4", 2 * count, 8).astype(np.int64).reshape(-1, 2)
+    if int(pairs[:, 0].sum()) > MOST_SAMPLES:
+        raise ValueError
+    apart = np.repeat(pairs[:, 1], pairs[:, 0])
+    return np.concatenate([[0], np.cumsum(apart)[:-1]]) / units_hz if len(apart) else np.zeros(0)
+
+
+def _sizes(table: bytes) -> NDArray[np.int64]:
+    """Samples' sizes (8.7.3.2), bytes."""
+    size, count = struct.unpack_from(">II", table, 4)
+    if count > MOST_SAMPLES:
+        raise ValueError
+    return np.full(count, size, np.int64) if size else np.frombuffer(table, ">u4", count, 12).astype(np.int64)
+
+
+def _places(sizes: NDArray[np.int64], chunks: NDArray[np.int64], table: bytes) -> NDArray[np.int64]:
+    """Where each sample begins (8.7.4): runs of chunks that have as many samples, one after the other in each."""
+    (count,) = struct.unpack_from(">I", table, 4)
+    runs = np.frombuffer(table, ">u4", 3 * count, 8).astype(np.int64).reshape(-1, 3)
+    apart = np.diff(np.append(runs[:, 0], len(chunks) + 1))
+    if (apart < 0).any():
+        raise ValueError
+    in_chunk = np.repeat(runs[:, 1], apart)
+    if len(in_chunk) != len(chunks) or int(in_chunk.sum()) != len(sizes):
+        raise ValueError
+    before = np.cumsum(sizes) - sizes
+    first = np.cumsum(in_chunk) - in_chunk
+    whole = in_chunk > 0
+    out: NDArray[np.int64] = np.repeat(chunks[whole] - before[first[whole]], in_chunk[whole]) + before
+    return out
+
+
+def _text(four: bytes) -> str:
+    return four.decode("latin-1")

@@ -1,0 +1,81 @@
+"""Telemetry that lies in a video itself -> events: a track of subtitles, or GoPro's GPMF. Others are named."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import replace
+from pathlib import Path
+
+from contract.errors import InputError
+from onboard.telemetry import gpmf
+from onboard.telemetry.mp4_container import Track, tracks_of
+from onboard.telemetry.read_options import ReadOptions
+from onboard.telemetry.row_events import SIGMA_GEOID_M, log_of_rows, with_heights
+from onboard.telemetry.srt_reader import log_of_subtitles
+from onboard.telemetry.telemetry_log import NS_PER_S, TelemetryLog
+
+SUBTITLES = ("tx3g", "text")
+SIGMA_BEGAN_S = (
+    0.5  # of when a video began, by the times of the receiver in it: they come late, by how much is not known
+)
+GPX = "make a GPX of it (exiftool -ee -p gpx.fmt) and give that"
+# Kinds of tracks that are not read: by four characters and, of a general kind, what describes it; what to do.
+OTHERS = (
+    ("mett", b"parrot", f"a Parrot's telemetry: {GPX}"),
+    ("djmd", b"", "DJI's own data (djmd): give the .SRT of the video, or AirData's table of the flight"),
+    ("camm", b"", f"Google's camera motion (camm): {GPX}"),
+    ("rtmd", b"", f"Sony's metadata (rtmd): {GPX}"),
+)
+
+
+def has_telemetry(path: Path) -> bool:
+    """Return whether there is a track in a video that `read_video` reads."""
+    return any(track.kind in (gpmf.KIND, *SUBTITLES) for track in tracks_of(path))
+
+
+def other_telemetry(path: Path) -> str:
+    """Return what telemetry is in a video that is not read, and what to do; empty where there is none that is known."""
+    for track in tracks_of(path):
+        for kind, described, what in OTHERS:
+            if track.kind == kind and described in track.description.lower():
+                return what
+    return ""
+
+
+def read_video(path: Path, options: ReadOptions) -> TelemetryLog:
+    """Read the telemetry in a video. Raises InputError, without the file's name, for one without, or without
+    positions in it.
+    """
+    tracks = tracks_of(path)
+    for track in tracks:
+        if track.kind == gpmf.KIND:
+            return _gopro(track, options)
+    for track in tracks:
+        if track.kind in SUBTITLES:
+            return log_of_subtitles(_texts(track), options.home_amsl_m, options.gps_order)
+    what = other_telemetry(path)
+    raise InputError(f"in it is {what}" if what else "no telemetry that is known is in it: give the flight's log")
+
+
+def _texts(track: Track) -> list[tuple[int, str]]:
+    """Subtitles as a video has them: two bytes of length, then text."""
+    out = []
+    for time_s, sample in zip(track.times_s, track.samples, strict=True):
+        if len(sample) > 2:
+            (length,) = struct.unpack_from(">H", sample)
+            out.append((round(time_s * NS_PER_S), sample[2 : 2 + length].decode("utf-8", "replace")))
+    return out
+
+
+def _gopro(track: Track, options: ReadOptions) -> TelemetryLog:
+    rows, began_ns, written = gpmf.positions_of(track)
+    if not written:
+        raise InputError("its GPMF track has no position (GPS5, GPS9): the camera has no GPS, or it was off")
+    if not rows or began_ns is None:
+        raise InputError(f"none of the {written} positions in its GPMF track has a fix of three dimensions")
+    notes = (
+        [f"{written - len(rows)} of {written} positions have no fix and are not used"] if len(rows) < written else []
+    )
+    placed, of_heights = with_heights(rows, None, options.undulation_m, SIGMA_GEOID_M)
+    log = log_of_rows(placed, [*notes, *of_heights], is_repeated=True)
+    return replace(log, video_began=(began_ns, SIGMA_BEGAN_S))

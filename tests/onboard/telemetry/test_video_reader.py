@@ -1,0 +1,88 @@
+"""Telemetry in a video's own tracks; that of a whole flight is in `test_log_files`."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import pytest
+
+from contract.errors import InputError
+from onboard.events.types import PositionFix
+from onboard.telemetry.log_files import read_log
+from onboard.telemetry.telemetry_log import TelemetryLog
+from tests.onboard.telemetry.log_writers import gpmf, mp4
+
+BEGAN_NS = 1_780_308_000 * 10**9  # 2026-06-01 10:00:00
+SUBTITLE = "2026-06-01 10:00:0{0}.000 [latitude: 47.10000{0}] [longitude: 8.2] [rel_alt: 30.1 abs_alt: 501.3]"
+
+
+def read(tmp_path: Path, content: bytes) -> TelemetryLog:
+    (tmp_path / "video.MP4").write_bytes(content)
+    return read_log(tmp_path / "video.MP4")
+
+
+def five(utc: bytes, lat_deg: float, fix: int = 3, origin: bytes = b"") -> bytes:
+    """A second of a Hero 5 to 10: two positions, one time for both."""
+    one = struct.pack(">5i", round(lat_deg * 1e7), 82_000_000, 500_000, 0, 0)
+    stream = gpmf(b"GPSF", b"L", 4, struct.pack(">I", fix)) + gpmf(b"GPSU", b"U", 16, utc)
+    stream += gpmf(b"GPSP", b"S", 2, struct.pack(">H", 160)) + (gpmf(b"GPSA", b"F", 4, origin) if origin else b"")
+    stream += gpmf(b"SCAL", b"l", 4, struct.pack(">5i", 10**7, 10**7, 1000, 1000, 100))
+    stream += gpmf(
+        b"GPS5", b"l", 20, one + struct.pack(">5i", round((lat_deg + 1e-5) * 1e7), 82_000_000, 500_000, 0, 0)
+    )
+    return gpmf(b"DEVC", b"\0", 1, gpmf(b"STRM", b"\0", 1, stream))
+
+
+def test_a_stale_time_of_an_older_gopro_moves_no_position(tmp_path: Path) -> None:
+    """A Max writes one that is 1.4 s old with the first second of its video."""
+    times = [b"260601095958.600", b"260601100001.000", b"260601100002.000", b"260601100003.000"]
+    seconds = [five(utc, 47.0 + 1e-4 * k, fix=2 if k == 3 else 3) for k, utc in enumerate(times)]
+    log = read(tmp_path, mp4(b"gpmd", seconds, [0.0, 1.0, 2.0, 3.0]))
+    fixes = [event for event in log.events if isinstance(event, PositionFix)]
+    assert [fix.stamp_ns - BEGAN_NS for fix in fixes] == [k * 500_000_000 for k in range(6)]  # none of the last second
+    assert [fix.lat_deg for fix in fixes] == pytest.approx([47.0, 47.00001, 47.0001, 47.00011, 47.0002, 47.00021])
+    assert log.video_began == (BEGAN_NS, 0.5) and log.utc_sigma_s == 0.0
+    assert log.notes[0].startswith("2 of 8 positions") and log.notes[1].startswith("heights count from the ellipsoid")
+
+
+def test_heights_that_a_gopro_counts_from_the_sea_are_not_the_ellipsoid_s(tmp_path: Path) -> None:
+    log = read(tmp_path, mp4(b"gpmd", [five(b"260601100000.000", 47.0, origin=b"MSLV")], [0.0]))
+    assert log.notes == ("heights above sea level are +-40 m as a whole",)
+
+
+def test_subtitles_in_a_video_are_as_those_next_to_it(tmp_path: Path) -> None:
+    texts = [SUBTITLE.format(k).encode() for k in range(3)]
+    samples = [struct.pack(">H", len(text)) + text for text in texts]
+    log = read(tmp_path, mp4(b"tx3g", samples, [0.0, 1.0, 2.0], handler=b"sbtl"))
+    fixes = [event for event in log.events if isinstance(event, PositionFix)]
+    assert log.video_epoch_ns == BEGAN_NS
+    assert [(fix.stamp_ns - BEGAN_NS) // 10**9 for fix in fixes] == [0, 1, 2]
+    assert [fix.lat_deg for fix in fixes] == [47.1, 47.100001, 47.100002]
+
+
+@pytest.mark.parametrize(
+    ("kind", "about", "printed"),
+    [
+        (b"gpmd", b"", "its GPMF track has no position"),
+        (b"mett", b"application/vnd.parrot.videometadata", "a Parrot's telemetry: make a GPX of it"),
+        (b"mett", b"application/x-others", "no telemetry that is known"),
+        (b"djmd", b"", "DJI's own data"),
+        (b"tx3g", b"", "no position in its 1 subtitles"),
+    ],
+)
+def test_what_is_in_a_video_and_not_read_is_named(tmp_path: Path, kind: bytes, about: bytes, printed: str) -> None:
+    with pytest.raises(InputError, match=printed):
+        read(tmp_path, mp4(kind, [b"\0\5hello"], [0.0], about=about))
+
+
+def test_a_damaged_container_is_refused_in_a_line(tmp_path: Path) -> None:
+    whole = mp4(b"gpmd", [five(b"260601100000.000", 47.0)], [0.0])
+    for at in range(0, whole.index(b"mdat"), 3):
+        for value in (b"\0", b"\xff"):
+            try:
+                log = read(tmp_path, whole[:at] + 3 * value + whole[at + 3 :])
+            except InputError as error:
+                assert "\n" not in str(error)
+            else:
+                assert len(log.events) < 20
