@@ -30,8 +30,8 @@ from contract.camera import Camera
 from contract.feature_set import FeatureSet
 from contract.locate import Locator
 from onboard.config.schema import load_config
+from onboard.events.kept_pictures import KeptPictures
 from onboard.events.types import Frame
-from onboard.measured.kept_pictures import KeptPictures
 from onboard.measured.question import Questions
 from onboard.pipeline.pipeline import Pipeline
 from onboard.replay.runner import Flight
@@ -157,7 +157,7 @@ def clicked(
         for kind, ray, true_m, pixel in zip(kinds, rays, depth_m, uv, strict=True):
             began_s = time.thread_time()
             answer = questions.measured_set(
-                s, (float(pixel[0]), float(pixel[1])), pictures.frame(s.session, frame), pictures.others(frame)
+                s, (float(pixel[0]), float(pixel[1])), *pictures.placed(s.session, frame)
             ).clicked
             ms = 1e3 * (time.thread_time() - began_s)
             plain = locator.locate(pixel)

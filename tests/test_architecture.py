@@ -41,7 +41,7 @@ ARROWS: dict[str, set[str]] = {
     "onboard.georeferencing": {"estimation", "geometry", "navigation", "config"},
     "onboard.pipeline": {"georeferencing", "estimation", "vision", "geometry", "navigation", "events", "config"},
     "onboard.tracks": {"geometry", "events"},
-    "onboard.measured": {"geometry"},
+    "onboard.measured": {"geometry", "events"},
     "onboard.spots": {"events", "config"},
     "onboard.foreign_clock": {"vision", "geometry", "navigation", "telemetry", "events", "config"},
     "onboard.link": {"events", "config"},

@@ -24,6 +24,7 @@ from onboard.camera.picture_mask import read_mask
 from onboard.config.files import load_camera, load_config_files, load_second_camera, state_folder
 from onboard.config.recorded import recorded_toml
 from onboard.config.schema import Config
+from onboard.events.kept_pictures import KeptPictures
 from onboard.events.session_clock import SessionClock
 from onboard.events.sink import Sink
 from onboard.events.source import Source
@@ -113,8 +114,9 @@ def open_parts(config: Config, clock: SessionClock | None = None, open_camera: O
             sinks.append(pictures)
             threads.append(pictures.thread)
         optics = load_second_camera(config) if config.spots.enabled and config.camera.thermal.is_live else None
-        tracks, (spots, second) = _tracks(config, link), _spots(config, link, clock, optics)
-        for one in (tracks, _measured(config, link, radio), spots, second):
+        kept = KeptPictures(round(config.tracks.keep_mb * 1e6))
+        tracks, (spots, second) = _tracks(config, link, kept), _spots(config, link, clock, optics)
+        for one in (tracks, _measured(config, link, radio, kept), spots, second):
             if one is not None:
                 sinks.append(one)
                 threads.append(one.thread)
@@ -170,21 +172,23 @@ def _begun(
     return pipeline, state, "" if complaint else state.text()
 
 
-def _tracks(config: Config, link: Publisher) -> TrackThread | None:
+def _tracks(config: Config, link: Publisher, kept: KeptPictures) -> TrackThread | None:
     if not config.tracks.enabled:
         return None
-    tracks = TrackThread(config, [lambda _, payload: link.report(TRACKS, payload)])
+    tracks = TrackThread(config, [lambda _, payload: link.report(TRACKS, payload)], pictures=kept)
     link.follow = tracks.answer
     return tracks
 
 
-def _measured(config: Config, link: Publisher, radio: AutopilotRadio | None) -> MeasureThread | None:
+def _measured(
+    config: Config, link: Publisher, radio: AutopilotRadio | None, kept: KeptPictures
+) -> MeasureThread | None:
     """Return the thread that measures the pixels that are clicked either way, in the pictures that things are followed
     in.
     """
     if not config.tracks.enabled:
         return None
-    measured = MeasureThread(config)
+    measured = MeasureThread(config, pictures=kept)
     link.measure = measured.measure
     if radio is not None:
         radio.clicks.measure = measured.measure

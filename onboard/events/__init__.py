@@ -2,6 +2,7 @@
 
 Public:
 
+- `kept_pictures`: `LEAST`, `RECENT_NS`, `Kept`, `KeptPictures`
 - `session_clock`: `SessionClock`
 - `sink`: `Sink`
 - `source`: `Emit`, `Severity`, `Source`, `SourceStatus`, `State`, `Stop`, `TelemetrySource`

@@ -1,7 +1,6 @@
-"""A clicked pixel measured by itself, in the pictures that are kept. Pure functions of arrays, and the row of pictures.
+"""A clicked pixel measured by itself, in the pictures that are kept. Pure functions of arrays.
 
 Public:
 
-- `kept_pictures`: `KeptPictures`
 - `question`: `Questions`
 """

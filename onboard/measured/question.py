@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from contract.feature_set import ClickedPixel, FeatureSet, Measured
 from contract.locate import Locator
-from onboard.measured.kept_pictures import Kept
+from onboard.events.kept_pictures import Kept
 from onboard.measured.matching import Match
 from onboard.measured.measuring import Sought, measure
 from onboard.measured.patches import Patch

@@ -14,9 +14,9 @@ from contract.feature_set import FeatureSet
 from contract.supervised_thread import SupervisedThread, WokenWork
 from contract.wire.codec import decode
 from onboard.config.schema import Config
+from onboard.events.kept_pictures import KeptPictures
 from onboard.events.types import Event
 from onboard.events.waiting_pictures import WaitingPictures
-from onboard.measured.kept_pictures import KeptPictures
 from onboard.measured.question import Questions
 
 MAX_HELD = 64  # pictures that wait for their set
@@ -31,12 +31,18 @@ Done = Callable[[FeatureSet | None], object]
 
 
 class MeasureThread(WokenWork):
-    """A sink of the daemon. `monotonic_s` is a clock."""
+    """A sink of the daemon. `monotonic_s` is a clock, `pictures` a ring that is shared."""
 
-    def __init__(self, config: Config, monotonic_s: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self,
+        config: Config,
+        monotonic_s: Callable[[], float] = time.monotonic,
+        *,
+        pictures: KeptPictures | None = None,
+    ) -> None:
         super().__init__("measured clicks")
         self._monotonic_s = monotonic_s
-        self._pictures = KeptPictures(round(config.tracks.keep_mb * 1e6))
+        self._pictures = KeptPictures(round(config.tracks.keep_mb * 1e6)) if pictures is None else pictures
         self._questions = Questions()
         self._held = WaitingPictures(MAX_HELD)  # touched by the pipeline's thread alone
         self._asked: deque[tuple[bytes, tuple[float, float], Done, float]] = deque()
@@ -48,11 +54,10 @@ class MeasureThread(WokenWork):
     def feature_set(self, output: FeatureSet) -> None:
         """A picture's set, the first or a later one."""
         frame = self._held.take(output.frame)
-        with self._changed:
-            if frame is not None and frame.image is not None:
-                self._pictures.add(frame.image, output)
-            else:
-                self._pictures.revise(output)
+        if frame is not None and frame.image is not None:
+            self._pictures.add(frame.image, output, frame.stamp_ns)
+        else:
+            self._pictures.revise(output)
 
     def measure(self, payload: bytes, uv_px: tuple[float, float], done: Done) -> bool:
         """Measure a pixel of the set of a payload; `done` is called in this thread. False if too much is asked: then it
@@ -93,7 +98,5 @@ class MeasureThread(WokenWork):
         asked = decode(payload)
         if not (asked.is_ok and asked.camera.contains(uv_px)):
             return None
-        with self._changed:
-            clicked = self._pictures.frame(asked.session, asked.frame)
-            others = self._pictures.others(asked.frame)
+        clicked, others = self._pictures.placed(asked.session, asked.frame)
         return self._questions.measured_set(asked, uv_px, clicked, others)

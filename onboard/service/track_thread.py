@@ -18,6 +18,7 @@ from contract.supervised_thread import SupervisedThread, WokenWork
 from contract.track import MOST_TRACKS, ListTracks, StartTrack, StopTrack, TrackReport, read_request, refused
 from contract.wire.track_code import encode_track
 from onboard.config.schema import Config
+from onboard.events.kept_pictures import KeptPictures
 from onboard.events.types import Event, Frame
 from onboard.events.waiting_pictures import WaitingPictures
 from onboard.tracks.ground_steps import Pictures
@@ -39,16 +40,21 @@ log = logging.getLogger("pointclick")
 
 class TrackThread(WokenWork):
     """A sink of the daemon. `outlets` take the newest picture's capture time (Unix ns) and the reports of all tracks
-    as one packet; `monotonic_s` is a clock.
+    as one packet; `monotonic_s` is a clock, `pictures` a ring that is shared.
     """
 
     def __init__(
-        self, config: Config, outlets: Sequence[Outlet] = (), monotonic_s: Callable[[], float] = time.monotonic
+        self,
+        config: Config,
+        outlets: Sequence[Outlet] = (),
+        monotonic_s: Callable[[], float] = time.monotonic,
+        *,
+        pictures: KeptPictures | None = None,
     ) -> None:
         super().__init__("tracks", late_after_s=LATE_S)
         self._vehicle, self._monotonic_s = config.vehicle.id, monotonic_s
         self.outlets = list(outlets)
-        self._kept_bytes = round(config.tracks.keep_mb * 1e6)
+        self._kept = KeptPictures(round(config.tracks.keep_mb * 1e6)) if pictures is None else pictures
         self._book = self._new_book()
         self._held = WaitingPictures(MAX_HELD)  # touched by the pipeline's thread alone
         self._ready: deque[tuple[Frame, FeatureSet]] = deque(maxlen=MAX_BEHIND)
@@ -67,8 +73,9 @@ class TrackThread(WokenWork):
         """A picture's first set: both are this thread's now. One that is older than the last is not looked at."""
         frame = self._held.take(output.frame)
         identity = output.session, output.frame
-        if frame is not None and identity > self._newest:
+        if frame is not None and frame.image is not None and identity > self._newest:
             self._newest = identity
+            self._kept.add(frame.image, output, frame.stamp_ns)
             with self._changed:
                 self._ready.append((frame, output))
                 self._changed.notify()
@@ -196,7 +203,7 @@ class TrackThread(WokenWork):
             return b""
 
     def _new_book(self) -> TrackBook:
-        return TrackBook(self._vehicle, Pictures(self._kept_bytes))
+        return TrackBook(self._vehicle, Pictures(self._kept))
 
 
 def _json(content: dict[str, object]) -> bytes:

@@ -1,7 +1,7 @@
 """The ground's motion from picture to picture: a homography from features all over the picture. (24.1)
 
-What moves over the ground is a small part of a picture and is left out as an outlier. Pictures are kept, a bounded
-number of bytes of them, so that a click may be seconds old and what lay behind a thing is known.
+What moves over the ground is a small part of a picture and is left out as an outlier. The last seconds of the pictures
+that are kept are a row, so that a click may be seconds old and what lay behind a thing is known.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 from contract.feature_set import FeatureSet
 from contract.geodesy import LocalFrame
 from contract.locate import Locator
+from onboard.events.kept_pictures import LEAST, RECENT_NS, KeptPictures
 from onboard.geometry.plane_homography import fit_homography, move, pixel_grid
 
 Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]
 
-KEPT_BYTES, KEPT_NS = 48_000_000, 6_000_000_000
 FEATURES, WINDOW_PX, LEVELS, SPACING = 160, 13, 3, 0.035  # spacing: of the picture's width
 MAX_MISS_PX = 0.7  # of a feature against the homography
 LEAST_FEATURES, LEAST_SHARE = 12, 0.4  # that must follow it, in number and of those found again
@@ -57,12 +57,11 @@ class Seen:
 
 
 class Pictures:
-    """The last seconds of pictures, in capture order."""
+    """The last seconds of pictures, in capture order, without a gap: as far back as `kept` has every one."""
 
-    def __init__(self, kept_bytes: int = KEPT_BYTES, kept_ns: int = KEPT_NS) -> None:
-        self._kept_bytes, self._kept_ns = kept_bytes, kept_ns
+    def __init__(self, kept: KeptPictures | None = None, kept_ns: int = RECENT_NS) -> None:
+        self._kept, self._kept_ns = KeptPictures() if kept is None else kept, kept_ns
         self._seen: deque[Seen] = deque()
-        self._bytes = 0
         self._last_step: Array | None = None
 
     def __len__(self) -> int:
@@ -76,16 +75,21 @@ class Pictures:
         if self._seen and seen.frame <= self._seen[-1].frame:
             self.clear()
         self._seen.append(seen)
-        self._bytes += seen.image.nbytes
-        while len(self._seen) > 2 and (
-            self._bytes > self._kept_bytes or seen.stamp_ns - self._seen[0].stamp_ns > self._kept_ns
-        ):
-            self._bytes -= self._seen.popleft().image.nbytes
+        if seen.its_set is not None:
+            self._kept.add(seen.image, seen.its_set, seen.stamp_ns)
+        before = list(self._seen)[:-LEAST]
+        for number in reversed(range(len(before))):
+            if seen.stamp_ns - before[number].stamp_ns > self._kept_ns or self._is_forgotten(before[number]):
+                for _ in range(number + 1):
+                    self._seen.popleft()
+                break
+
+    def _is_forgotten(self, seen: Seen) -> bool:
+        return seen.its_set is not None and seen.frame not in self._kept
 
     def clear(self) -> None:
         """Keep none."""
         self._seen.clear()
-        self._bytes = 0
 
     def by_frame(self, frame: int) -> Seen | None:
         """None if it is not kept."""

@@ -20,7 +20,7 @@ class TrackBook:
 
     def __init__(self, vehicle: str, pictures: Pictures | None = None) -> None:
         self._vehicle = vehicle
-        self._pictures = pictures or Pictures()
+        self._pictures = Pictures() if pictures is None else pictures
         self._tracks: dict[int, Track] = {}
         self._lost_ns: dict[int, int] = {}
         self._session = 0

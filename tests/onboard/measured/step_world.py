@@ -13,7 +13,7 @@ from contract.camera import Camera
 from contract.feature_set import FeatureSet, Status
 from contract.geodesy import LocalFrame
 from contract.rotations import exp_so3
-from onboard.measured.kept_pictures import Kept
+from onboard.events.kept_pictures import Kept
 
 Array = NDArray[np.float64]
 

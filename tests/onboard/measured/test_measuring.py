@@ -11,7 +11,7 @@ from contract.answer import Fix
 from contract.feature_set import Measured
 from contract.locate import Locator
 from contract.rotations import exp_so3
-from onboard.measured.kept_pictures import Kept
+from onboard.events.kept_pictures import Kept
 from onboard.measured.matching import linearised
 from onboard.measured.patches import Patch, by_inverse_depth, places
 from onboard.measured.question import Questions

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import weakref
 
 import numpy as np
 import pytest
@@ -10,9 +11,10 @@ import pytest
 from contract.feature_set import FeatureSet, Measured, Status
 from contract.wire.codec import decode, encode
 from onboard.config.schema import parse_config
+from onboard.events.kept_pictures import KeptPictures
 from onboard.events.types import Frame
-from onboard.measured.kept_pictures import KeptPictures
 from onboard.service.measure_thread import LATE_ANSWER_S, MAX_ASKED, MAX_HELD, MeasureThread
+from onboard.service.track_thread import TrackThread
 from tests.onboard.measured.step_world import CLICKED, EPOCH_NS, World
 
 CONFIG = parse_config('[vehicle]\nid = "uav-1"\n')
@@ -101,15 +103,45 @@ def test_pictures_are_kept_within_their_bytes_keyframes_longest() -> None:
     image = np.zeros((240, 320), np.uint8)
     pictures = KeptPictures(10 * image.nbytes)
     for number in range(40):
-        pictures.add(
-            image,
-            WORLD.its_set(0) if number < 0 else dataclasses.replace(SET, frame=number, is_keyframe=number % 8 == 0),
-        )
+        pictures.add(image, dataclasses.replace(SET, frame=number, is_keyframe=number % 8 == 0))
     assert len(pictures) == 10
-    kept = [k.its_set.frame for k in pictures.others(-1)]
+    kept = [k.its_set.frame for k in pictures.placed(SET.session, -1)[1]]
     assert kept[:4] == [0, 8, 16, 24] and kept[-1] == 39
     pictures.add(image, dataclasses.replace(SET, session=6))
     assert len(pictures) == 1
+
+
+def test_the_last_seconds_are_whole_and_keyframes_before_them_have_their_share() -> None:
+    """Ten pictures a second, each tenth a keyframe, in a ring of eighty: eight seconds if nothing else were kept."""
+    pictures, order = KeptPictures(80 * 8 * 8), []
+    for number in range(600):
+        its_set = dataclasses.replace(SET, frame=number, is_keyframe=number % 10 == 0)
+        pictures.add(np.zeros((8, 8), np.uint8), its_set, EPOCH_NS + number * 100_000_000)
+        order.append(len(pictures))
+    kept = [k.its_set.frame for k in pictures.placed(SET.session, -1)[1]]
+    assert max(order) == len(kept) == 80
+    recent = [n for n in kept if n >= 540]
+    assert len(recent) >= 60 and [n for n in kept if n < 538] == list(range(340, 538, 10))
+
+
+def test_tracks_and_measured_clicks_share_one_ring_of_the_bytes_that_the_key_states() -> None:
+    config = parse_config('[vehicle]\nid = "uav-1"\n[tracks]\nkeep_mb = 8.0\n')
+    ring, one = KeptPictures(100 * 240 * 320), np.zeros((240, 320), np.uint8)
+    threads = TrackThread(config, pictures=ring), MeasureThread(config, pictures=ring)
+    images: list[weakref.ref[np.ndarray]] = []
+    for number in range(300):
+        image = one.copy()
+        images.append(weakref.ref(image))
+        its_set = dataclasses.replace(SET, frame=number, is_keyframe=number % 10 == 0)
+        for thread in threads:
+            thread.event(0, Frame(EPOCH_NS + number * 33_000_000, number, image))
+            thread.feature_set(its_set)
+        threads[0].work()
+        del image
+    alive = sum(ref() is not None for ref in images)
+    assert 98 <= alive <= 102  # both hold the same pictures, but for the last few that a thread works on
+    assert threads[0]._frames <= frozenset(n for n in range(300) if n in ring)
+    assert len(threads[0]._frames) > 50
 
 
 SET = WORLD.its_set(3)
@@ -121,7 +153,7 @@ def test_a_later_set_of_a_kept_picture_replaces_its_earlier_one() -> None:
     pictures.add(image, SET)
     pictures.revise(dataclasses.replace(SET, revision=2))
     pictures.revise(dataclasses.replace(SET, revision=1))
-    kept = pictures.frame(SET.session, SET.frame)
+    kept, _ = pictures.placed(SET.session, SET.frame)
     assert kept is not None and kept.its_set.revision == 2
 
 

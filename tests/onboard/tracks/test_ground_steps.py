@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from onboard.events.kept_pictures import KeptPictures
 from onboard.geometry.plane_homography import move
 from onboard.tracks.ground_steps import Pictures, Seen, step
 from tests.onboard.tracks.flat_world import M_PX, Thing, World, at, stamp_ns
@@ -65,7 +66,7 @@ def test_a_missing_step_breaks_the_row_and_what_comes_after_it_is_whole_again() 
 
 def test_pictures_are_kept_within_their_bytes_and_their_seconds() -> None:
     world = World()
-    by_bytes, by_time = Pictures(kept_bytes=10 * 320 * 240), Pictures(kept_ns=1_500_000_000)
+    by_bytes, by_time = Pictures(KeptPictures(10 * 320 * 240)), Pictures(kept_ns=1_500_000_000)
     for number in range(40):
         for pictures in (by_bytes, by_time):
             pictures.add(seen(world, number))
