@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import re
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -13,7 +12,6 @@ import cv2
 
 from contract.errors import InputError
 from onboard.camera.file_stamps import stamp_from_name
-from onboard.camera.photo_lens import FULL_FRAME_DIAGONAL_MM
 from onboard.camera.photo_metadata import Focal
 from onboard.camera.video_times import frame_times_s, rate_text
 from onboard.commands.camera_clock import against_log, clock_of, clock_row, frames
@@ -30,6 +28,7 @@ from onboard.commands.imported_flight import (
 )
 from onboard.config.schema import parse_config
 from onboard.foreign_clock.clock_search import Stated
+from onboard.replay.digital_zoom import SIGMA_EQUIVALENT, equivalent_px
 from onboard.replay.runner import check_overlap
 from onboard.telemetry.log_files import read_log
 from onboard.telemetry.log_formats import SUFFIXES
@@ -41,10 +40,6 @@ RATE_HZ = 5.0  # pictures taken out of a faster video: enough for the window, an
 CUT_S = (0.5, 0.29)  # by which a beginning cut to the second is too early, and one sigma of that
 SIGMA_FRAME_S = 0.01  # of a frame's time against the others'
 START = ", or when the video began, --start TIME"
-# A video's frame is the sensor's whole width or a part as high as it is wide; the equivalent holds for a photograph.
-# Between both interpretations, and to either.
-SIGMA_VIDEO_EQUIVALENT = 0.06
-_FOCAL = re.compile(r"\[focal_len\s*:\s*(\d+(?:\.\d+)?)\]", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -76,7 +71,7 @@ def run(arguments: argparse.Namespace) -> int:
     if not times_s:
         raise InputError(f"{video}: no time stamps on its frames: give replay --stamps with index,unix_time_s")
     began = _beginning(video, log, arguments)
-    optics = optics_of(size_px, _focal(log_path, size_px), video.parent, settings)
+    optics = optics_of(size_px, _focal(log, log_path, size_px), video.parent, settings)
     sections, mount = mount_by_log(log)
     rows = rolling_shutter(sections)
     moments_ns = [began.unix_ns + round(time_s * 1e9) for time_s in times_s]
@@ -148,22 +143,14 @@ def _beginning(video: Path, log: TelemetryLog, arguments: argparse.Namespace) ->
     raise InputError(f"{video}: nothing states when it began: give --start, in UTC, as 2026-06-12T10:15:23.4Z")
 
 
-def _focal(log: Path, size_px: tuple[int, int]) -> Focal | None:
-    """The focal length that DJI's subtitles name, equivalent to 35 mm film (older ones in tenths of a millimetre)."""
-    if log.suffix.lower() != ".srt":
+def _focal(log: TelemetryLog, path: Path, size_px: tuple[int, int]) -> Focal | None:
+    """The focal length that subtitles name first, equivalent to 35 mm film."""
+    if not log.focal_mm:
         return None
-    with log.open("rb") as stream:
-        found = _FOCAL.search(stream.read(4096).decode("utf-8", "replace"))
-    if found is None:
-        return None
-    equivalent_mm = float(found[1]) / (1.0 if float(found[1]) < 100.0 or "." in found[1] else 10.0)
-    if not 10.0 <= equivalent_mm <= 500.0:
-        return None
-    width, height = size_px
-    by_diagonal = equivalent_mm / FULL_FRAME_DIAGONAL_MM * (width**2 + height**2) ** 0.5
-    by_width = equivalent_mm / 36.0 * width
-    focal_px = 0.5 * (by_diagonal + by_width)
-    return Focal(focal_px, focal_px, SIGMA_VIDEO_EQUIVALENT * focal_px, f"focal_len {equivalent_mm:g} mm in {log.name}")
+    (_, equivalent_mm), *_ = log.focal_mm
+    focal_px = equivalent_px(equivalent_mm, size_px)
+    source = f"focal_len {equivalent_mm:g} mm in {path.name}"
+    return Focal(focal_px, focal_px, SIGMA_EQUIVALENT * focal_px, source)
 
 
 def _utc(unix_ns: int) -> str:

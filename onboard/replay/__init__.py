@@ -3,6 +3,7 @@
 Public:
 
 - `comparison`: `Comparison`
+- `digital_zoom`: `SIGMA_EQUIVALENT`, `equivalent_px`
 - `followed`: `Clicked`, `Followed`
 - `load`: `SHARE`, `WARM_UP`, `Load`, `measure`
 - `made_flight`: `MadeFlight`

@@ -28,7 +28,7 @@ from onboard.config.schema import Config
 from onboard.events.sink import Sink
 from onboard.events.types import Event, Frame
 from onboard.pipeline.estimates import as_rows
-from onboard.replay.digital_zoom import at_one_zoom
+from onboard.replay.digital_zoom import at_one_zoom, optical_zoom
 from onboard.replay.photo_telemetry import check_gaps, photo_telemetry
 from onboard.telemetry.log_files import read_log
 from onboard.telemetry.read_options import ReadOptions
@@ -89,7 +89,10 @@ class Flight:
         source = open_frames(
             frames, camera, stamps, latency_s, whole, log.video_epoch_ns, max_rate_hz, in_colour, config.thermal.enabled
         )
+        zooms, words = optical_zoom(camera, log.focal_mm, log.digital_zoom, log.span_ns[1])
         camera, source = at_one_zoom(camera, source, log.digital_zoom)
+        if words:
+            log = log.with_events(zooms, words)
         check_overlap(source.stamps_ns, log)
         return cls(source, log, camera, max(round(config.gps.latency_s * 1e9), 0))
 

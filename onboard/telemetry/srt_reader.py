@@ -16,6 +16,7 @@ time; they are taken as UTC, as the names of files are.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -61,6 +62,7 @@ EIS_OFF = {"close", "closed", "off", "none", "0"}
 MAX_HEIGHT_M = 1e5
 HOURS_DIGITS = 2  # of a video's own time: what has more is damaged
 DZOOM_SCALE, MAX_DZOOM = 10_000.0, 100.0  # older models write 10000 for 1.0
+MIN_FOCAL_MM, MAX_FOCAL_MM = 10.0, 500.0
 
 
 @dataclass(frozen=True)
@@ -78,6 +80,7 @@ class _Subtitle:
     unlabelled: UnlabelledPlace | None = None
     satellites: int | None = None
     dzoom: float | None = None  # by how much the picture was enlarged digitally
+    focal_mm: float | None = None  # equivalent to 35 mm film
     eis: str = ""
     gimbal_deg: tuple[float, float, float] | None = None  # roll, pitch, yaw against north-east-down
     body_deg: tuple[float, float, float] | None = None
@@ -132,7 +135,8 @@ def log_of_subtitles(
         video_epoch_ns=epoch_ns,
         utc_sigma_s=None,
         notes=(*notes, *dates, *contradictions, *_stabilisation_note(subtitles), *_height_note(claims)),
-        digital_zoom=_zoom_steps(subtitles, epoch_ns),
+        digital_zoom=_steps((epoch_ns + s.at_ns, s.dzoom) for s in subtitles),
+        focal_mm=_steps((epoch_ns + s.at_ns, s.focal_mm) for s in subtitles),
     )
 
 
@@ -185,6 +189,7 @@ def _subtitle(at_ns: int, text: str) -> _Subtitle:
         unlabelled=unlabelled,
         satellites=None if unlabelled is None else _satellites(unlabelled.third),
         dzoom=_dzoom(number.get("dzoom_ratio"), text),
+        focal_mm=_focal_mm(named.get("focal_len")),
         eis="" if eis is None else eis[1].lower(),
         gimbal_deg=_named_angles(number, "gb") or angles.get("G"),
         body_deg=_named_angles(number, "drone") or angles.get("F") or angles.get("D"),
@@ -235,6 +240,14 @@ def _dzoom(ratio: float | None, text: str) -> float | None:
     return ratio if ratio is not None and 1.0 <= ratio <= MAX_DZOOM else None
 
 
+def _focal_mm(text: str | None) -> float | None:
+    """A focal length, which older models write in tenths of a millimetre."""
+    if text is None:
+        return None
+    focal_mm = float(text) / (1.0 if float(text) < 100.0 or "." in text else 10.0)
+    return focal_mm if MIN_FOCAL_MM <= focal_mm <= MAX_FOCAL_MM else None
+
+
 def _ordered(subtitles: list[_Subtitle], stated: Order | None) -> tuple[list[_Subtitle], list[str]]:
     """Return the subtitles with the places of `GPS(a, b)` in their order, and how that was found."""
     unlabelled = [s.unlabelled for s in subtitles if s.unlabelled is not None]
@@ -272,12 +285,12 @@ def _height_note(claims: list[GpsQuality]) -> list[str]:
     ]
 
 
-def _zoom_steps(subtitles: list[_Subtitle], epoch_ns: int) -> tuple[tuple[int, float], ...]:
-    """Return each change of the digital zoom: its Unix time, ns, and the new zoom."""
+def _steps(values: Iterable[tuple[int, float | None]]) -> tuple[tuple[int, float], ...]:
+    """Return each change of a value: its Unix time, ns, and the new value."""
     out: list[tuple[int, float]] = []
-    for s in subtitles:
-        if s.dzoom is not None and (not out or out[-1][1] != s.dzoom):
-            out.append((epoch_ns + s.at_ns, s.dzoom))
+    for stamp_ns, value in values:
+        if value is not None and (not out or out[-1][1] != value):
+            out.append((stamp_ns, value))
     return tuple(out)
 
 

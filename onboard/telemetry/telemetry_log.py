@@ -28,7 +28,8 @@ class TelemetryLog:
 
     `system` is the vehicle's MAVLink system number, 0 where the format has none; `boot_segments` how often its clock
     began. `video_epoch_ns`: when the video began that the log was written with, if it was written with one.
-    `digital_zoom`: from which moment on the camera enlarged its pictures, and how often. `notes`: what the operator
+    `digital_zoom`: from which moment on the camera enlarged its pictures, and how often; `focal_mm` from when on it had
+    which focal length, equivalent to 35 mm film. `notes`: what the operator
     should know of how the log was read, one line each. `shots_ns`: when a camera's shutter was triggered or reported.
     `video_began`: when the video began that the log lies in (ns), by a receiver whose delay is not known, and one sigma
     of that (s). `utc_sigma_s`: one sigma of the stamps against UTC, 0 of a receiver's or of a clock that the
@@ -41,6 +42,7 @@ class TelemetryLog:
     boot_segments: int = 1
     video_epoch_ns: int | None = None
     digital_zoom: tuple[tuple[int, float], ...] = ()
+    focal_mm: tuple[tuple[int, float], ...] = ()
     notes: tuple[str, ...] = ()
     shots_ns: tuple[int, ...] = ()
     utc_sigma_s: float | None = 0.0
@@ -53,6 +55,13 @@ class TelemetryLog:
         """
         ordered = sorted(events, key=lambda event: event.stamp_ns)
         return cls(ordered, [event.stamp_ns for event in ordered], boot_segments=boot_segments)
+
+    def with_events(self, events: Iterable[NavEvent], notes: tuple[str, ...]) -> TelemetryLog:
+        """Return the same with events of its own clock besides, which arrive when they are true, and notes on them."""
+        arrivals = [*zip(self.arrival_ns, self.events, strict=True), *((event.stamp_ns, event) for event in events)]
+        arrivals.sort(key=lambda pair: pair[0])
+        ordered = [event for _, event in arrivals]
+        return replace(self, events=ordered, arrival_ns=[t for t, _ in arrivals], notes=(*self.notes, *notes))
 
     @property
     def span_ns(self) -> tuple[int, int]:

@@ -268,6 +268,7 @@ def test_a_damaged_log_gives_the_rest_or_one_line(tmp_path: Path, kind: str) -> 
         (b"time,lat,lon\n1,2,3\n", "of another table rename the columns: unix_time_s,"),
         (b"just some words\n", "of no known kind; known are an ArduPilot"),
         (bytes(range(256)) * 30, "of a known kind; known are an ArduPilot"),
+        (b"\xfd", "of no known kind"),
         (b"\xa3\x95\x80" + bytes(500), "telemetry"),
         (b"ULog\x01\x12\x35\x01" + bytes(20), "telemetry"),
         (b"unix_time_s,lat_deg\n1795217000,1\n", "no column lon_deg, height_amsl_m"),

@@ -227,30 +227,6 @@ def test_a_wrong_arrival_stamp_loses_one_message(tmp_path: Path) -> None:
     assert len(of(read, PositionFix)) == 99
 
 
-@pytest.mark.parametrize(
-    ("content", "reported"),
-    [
-        (b"", "is empty"),
-        (b"this is not telemetry" * 100, "not a MAVLink telemetry log"),
-        (bytes(range(256)) * 40, "not a MAVLink telemetry log"),
-        (b"\xfd", "not a MAVLink telemetry log"),
-    ],
-)
-def test_a_file_that_is_no_log_is_refused_in_one_line(tmp_path: Path, content: bytes, reported: str) -> None:
-    path = tmp_path / "x.tlog"
-    path.write_bytes(content)
-    with pytest.raises(InputError, match=reported) as caught:
-        read_tlog(path)
-    assert "\n" not in str(caught.value)
-
-
-def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="No such file"):
-        read_tlog(tmp_path / "none.tlog")
-    with pytest.raises(InputError, match="directory"):
-        read_tlog(tmp_path)
-
-
 def test_a_log_without_positions_is_refused(tmp_path: Path) -> None:
     log = Log()
     log.add(0.0, heartbeat())
