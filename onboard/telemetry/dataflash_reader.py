@@ -47,6 +47,7 @@ FIELDS = {
 # The earlier names of a field, in the order in which they are looked for.
 FORMERLY = {"GMS": ("GPSTimeMS", "TimeMS"), "GWk": ("Week",), "RelHomeAlt": ("RelAlt",)}
 METRES_A_DEGREE = 111_320.0
+UNUSED = "GPS of the first receiver, not in use"
 FAST, FAST_US = {"IMU", "KF1", "KF4"}, 3000  # may be logged at a loop's rate, of which no more than this is used
 FAR_US = 5_000_000  # a stamp this far from its neighbours' is damaged
 MAX_GAP_S = 0.3  # over which velocities and rates are interpolated
@@ -126,19 +127,27 @@ def _tables(path: Path | str) -> dict[str, _Table]:
                 filter_name = _filter_of(log)
                 kinds = {name: name for name in FIELDS if not name.startswith("KF")}
                 kinds |= {f"{filter_name}{name[2:]}": name for name in FIELDS if name.startswith("KF")}
-                primary = 0
+                kinds |= {f"{name}2": name for name in ("GPS", "GPA")}  # of a second receiver, before it was `I`
+                primary = receiver = 0
                 while (message := log.recv_match(type=list(kinds))) is not None:
                     name = kinds.get(message.get_type())
                     if name == "KF4":
                         primary = getattr(message, "PI", primary)
-                    if name is not None and _is_used(message, name, primary):
-                        held = rows[name]
+                    if name == "GPS" and getattr(message, "U", 0):
+                        receiver = _receiver(message)
+                    key = name if name is not None and _is_used(message, name, primary, receiver) else None
+                    if key is None and name == "GPS" and _receiver(message) == 0:
+                        key = UNUSED
+                    if name is not None and key is not None:
+                        held = rows[key]
                         boot_us = _boot_us(message)
                         if name not in FAST or not held or not 0.0 <= boot_us - held[-1][0] < FAST_US:
                             held.append((boot_us, *(_number(message, field) for field in FIELDS[name])))
         except Exception as error:
             why = " ".join(str(error).split()) or type(error).__name__
             raise InputError(f"telemetry {path}: not a DataFlash log that can be read ({why})") from error
+    if not rows["GPS"]:
+        rows["GPS"] = rows[UNUSED]  # a blend of several, of which none counts as the one in use
     return {name: _table(rows[name], len(fields)) for name, fields in FIELDS.items()}
 
 
@@ -154,15 +163,22 @@ def _filter_of(log: Any) -> str:
     return "XKF"
 
 
-def _is_used(message: Any, name: str, primary: int) -> bool:
+def _receiver(message: Any) -> int:
+    """The number of the receiver that a message is of."""
+    return int(message.I) if hasattr(message, "I") else int(message.get_type().endswith("2"))
+
+
+def _is_used(message: Any, name: str, primary: int, receiver: int) -> bool:
     """Return whether a message is used.
 
     Of filter cores it is the primary one, of receivers the one in use, of range finders each, of others the first.
     """
     if name in ("KF1", "KF4"):
         return bool(getattr(message, "C", primary) == primary)
-    if name == "GPS" and hasattr(message, "U"):
-        return bool(message.U)
+    if name == "GPS":
+        return bool(message.U) if hasattr(message, "U") else _receiver(message) == 0
+    if name == "GPA":
+        return _receiver(message) == receiver
     return name == "RFND" or getattr(message, "I", 0) == 0
 
 

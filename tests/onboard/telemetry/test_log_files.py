@@ -334,6 +334,38 @@ def test_gimbal_range_and_lost_fix_of_a_dataflash_log(tmp_path: Path) -> None:
     assert any(s.has_position and s.is_glitching for s in states) and not states[-1].has_position
 
 
+@pytest.mark.parametrize(
+    ("second", "in_use", "place"),
+    [
+        ("GPS", (0, 1), "second"),
+        ("GPS2", (0, 1), "second"),  # as it was before 4.1
+        ("GPS", (1, 0), "first"),
+        ("GPS", (0, 0), "first"),  # a blend, as which none is in use: refused as a log without a time
+    ],
+)
+def test_of_two_receivers_the_one_in_use_counts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, second: str, in_use: tuple[int, int], place: str
+) -> None:
+    form, columns = log_writers.KINDS["GPS"]
+    monkeypatch.setitem(log_writers.KINDS, "GPS", (f"{form}B", f"{columns},U"))
+    if second == "GPS2":
+        monkeypatch.setitem(log_writers.KINDS, "GPS2", (f"Q{form[2:]}B", f"{columns.replace('I,', '', 1)},U"))
+    log = log_writers.Dataflash()
+    for i in range(50):
+        week, ms = gps_time(T0_S + 0.2 * i)
+        log.add("POS", 0.2 * i, LAT, LON, HOME_M, 0.0)
+        for number, name in enumerate(("GPS", second)):
+            at = LAT + 1e-4 * number, LON, HOME_M, 0.0, 0.0, 0.0, in_use[number]
+            log.add(name, 0.2 * i, *((number,) if name == "GPS" else ()), 3, ms, week, 12 - number, *at)
+            log.add("GPA", 0.2 * i, number, 1.0, 0.4 + number, 0.6, 0.1, HOME_M)
+    path = tmp_path / "flight.bin"
+    path.write_bytes(log.bytes())
+    last = of(read_log(path), GpsQuality)[-1]
+    assert last.fix is not None and last.fix.lat_deg == pytest.approx(LAT + 1e-4 * (place == "second"))
+    assert last.satellites == 12 - (place == "second")
+    assert last.sigma_horizontal_m == pytest.approx(0.4 + (place == "second"))
+
+
 def test_px4_s_own_log_without_utc_is_read_with_the_time_of_its_boot(tmp_path: Path) -> None:
     """As PX4's simulator writes it: by the Unix time at boot, or on the pictures' own clock if that counts from it."""
     path, with_utc = tmp_path / "flight.ulg", tmp_path / "utc.ulg"
