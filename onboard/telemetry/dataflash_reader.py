@@ -128,12 +128,12 @@ def _tables(path: Path | str) -> dict[str, _Table]:
                 kinds = {name: name for name in FIELDS if not name.startswith("KF")}
                 kinds |= {f"{filter_name}{name[2:]}": name for name in FIELDS if name.startswith("KF")}
                 kinds |= {f"{name}2": name for name in ("GPS", "GPA")}  # of a second receiver, before it was `I`
-                primary = receiver = 0
+                primary, receiver = 0, 0
                 while (message := log.recv_match(type=list(kinds))) is not None:
                     name = kinds.get(message.get_type())
                     if name == "KF4":
                         primary = getattr(message, "PI", primary)
-                    if name == "GPS" and getattr(message, "U", 0):
+                    if name == "GPS" and bool(getattr(message, "U", False)):
                         receiver = _receiver(message)
                     key = name if name is not None and _is_used(message, name, primary, receiver) else None
                     if key is None and name == "GPS" and _receiver(message) == 0:
