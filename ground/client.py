@@ -77,7 +77,7 @@ def inquire(
         which = f"{FRAME_PARAMETER}={frame}" if frame is not None else f"{TIME_PARAMETER}={unix_s!r}"
         parts, timeout_s = [which, f"{WAIT_PARAMETER}={PICTURE_TIMEOUT_S:g}"], PICTURE_TIMEOUT_S
     if pixel is not None:
-        parts += [f"{key}={value!r}" for key, value in zip(PIXEL_PARAMETERS, pixel, strict=True)]
+        parts += [f"{key}={float(value)!r}" for key, value in zip(PIXEL_PARAMETERS, pixel, strict=True)]
     parameters = "?" + ";".join(parts) if parts else ""
     key = FEATURES.key(vehicle)
     dropped = dropped or DroppedMessages()
@@ -304,7 +304,7 @@ class SetCache:
 
     def ask_measured(self, vehicle: str, frame: int, uv_px: tuple[float, float]) -> FeatureSet | None:
         """The aircraft's set of a picture with a pixel of it measured, or why it is not; as `ask_at`, as long."""
-        pixel = [f"{key}={value!r}" for key, value in zip(PIXEL_PARAMETERS, uv_px, strict=True)]
+        pixel = [f"{key}={float(value)!r}" for key, value in zip(PIXEL_PARAMETERS, uv_px, strict=True)]
         return self._ask(vehicle, ";".join([f"{FRAME_PARAMETER}={frame}", *pixel]))
 
     def _ask(self, vehicle: str, parameters: str) -> FeatureSet | None:

@@ -15,6 +15,7 @@ from contract.feature_set import FeatureSet
 from ground.circular_error import ce90_m
 from ground.pins.fusion import Place
 from ground.web.advice import ADVICE
+from ground.web.clicks import Clicked
 from ground.web.context import ServerContext
 from ground.web.dependency import Context
 from ground.web.pin_json import method_json, place_json
@@ -44,7 +45,7 @@ class ClickBody(BaseModel):
     session: int | None = Field(default=None, ge=0, le=2**63 - 1)
 
 
-class PlaceBody(ClickBody):
+class AnsweredBody(ClickBody):
     """`measured`: wait until the aircraft has measured the pixel by itself, or states why it has not."""
 
     measured: bool = False
@@ -96,16 +97,13 @@ def path(context: Context, vehicle: str, most: Annotated[int, Query(ge=2, le=500
 
 
 @router.post("/click", summary="A pixel's position on the ground, as pc-ground click --format json writes it")
-def click(context: Context, body: ClickBody) -> Response:
-    clicked = context.clicker.click(body.vehicle, body.session, body.frame, body.u, body.v)
-    return Response(clicked.answer.to_json(), media_type="application/json")
+def click(context: Context, body: AnsweredBody) -> Response:
+    return Response(_answered(context, body).answer.to_json(), media_type="application/json")
 
 
 @router.post("/place", summary="Where a pin at a pixel would be, ties applied, and how sure; nothing is kept")
-def place(context: Context, body: PlaceBody) -> dict[str, Any]:
-    clicked = context.clicker.click(body.vehicle, body.session, body.frame, body.u, body.v)
-    if body.measured:
-        clicked = context.clicker.measured(clicked, body.u, body.v)
+def place(context: Context, body: AnsweredBody) -> dict[str, Any]:
+    clicked = _answered(context, body)
     made = context.pin_click(clicked, body.u, body.v, "")
     found = None if made is None else context.places.of_clicks([made])
     if isinstance(found, Place) and made is not None:
@@ -127,6 +125,11 @@ def status(context: Context, request: Request) -> dict[str, Any]:
         "tiles": None if context.tiles is None else context.tiles.to_dict(),
         "vehicles": [vehicle_json(context, name) for name in context.source.vehicles()],
     }
+
+
+def _answered(context: ServerContext, body: AnsweredBody) -> Clicked:
+    clicked = context.clicker.click(body.vehicle, body.session, body.frame, body.u, body.v)
+    return context.clicker.measured(clicked, body.u, body.v) if body.measured else clicked
 
 
 def _known(context: ServerContext, vehicle: str) -> None:

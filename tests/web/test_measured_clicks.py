@@ -144,6 +144,8 @@ def test_what_cannot_be_measured_keeps_its_first_answer_with_the_reason(flight: 
         assert eventually(lambda reason=reason: only_pin(flight)["clicks"][0]["unmeasured"] == reason)
         assert only_pin(flight)["place"] == first["place"]
         placed = asked(flight, "api/place", spot(measured=True))
+        clicked = asked(flight, "api/click", spot(measured=True))
+        assert in_words(clicked["unmeasured"]) == reason and "unmeasured" not in asked(flight, "api/click", spot())
         assert placed["unmeasured"] == reason and placed["lat_deg"] == first["place"]["lat_deg"]
         flight.store.clear()
 
