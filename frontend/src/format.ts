@@ -46,7 +46,7 @@ export function methodWords(how: How | undefined): [string, string] {
 
 /** Height above the ground around it; one sigma. */
 function aboveText(metres: number, sigma: number): string {
-  return `${Math.abs(metres).toFixed(1)} m ${metres < 0 ? "below" : "above"} the ground ± ${sigma.toFixed(1)} m (1σ)`;
+  return `${Math.abs(metres).toFixed(1)} ± ${sigma.toFixed(1)} m ${metres < 0 ? "below" : "above"} the ground`;
 }
 
 function meant(how: How | undefined): [string, string] {
@@ -54,7 +54,7 @@ function meant(how: How | undefined): [string, string] {
   switch (method) {
     case "measured": return [
       how!.above_ground_m === null ? "measured" : `measured, ${aboveText(how!.above_ground_m, how!.sigma_above_ground_m ?? 0)}`,
-      "the clicked spot itself was found in other pictures; the height is that above the ground around it"];
+      "the clicked spot itself was found in other pictures; the height is that above the ground around it, ± one sigma"];
     case "interpolated": return ["between measured points", "on the ground between points that were measured from several pictures"];
     case "plane": return ["beyond what was measured", "on the ground plane through the measured points, outside of them"];
     case "terrain": return ["from terrain", "where the line of sight meets the terrain model"];

@@ -198,8 +198,8 @@ test("a coordinate has the digits that its radius gives meaning to, as the serve
 test("an answer's words are how it was found, how high above the ground, and why it was not measured", () => {
   const words = (method: string, above: number | null = null, unmeasured = ""): [string, string] =>
     methodWords({ method, above_ground_m: above, sigma_above_ground_m: above === null ? null : 0.42, unmeasured });
-  assert.equal(words("measured", 6.13)[0], "measured, 6.1 m above the ground ± 0.4 m (1σ)");
-  assert.equal(words("measured", -1.27)[0], "measured, 1.3 m below the ground ± 0.4 m (1σ)");
+  assert.equal(words("measured", 6.13)[0], "measured, 6.1 ± 0.4 m above the ground");
+  assert.equal(words("measured", -1.27)[0], "measured, 1.3 ± 0.4 m below the ground");
   assert.equal(words("interpolated")[0], "between measured points");
   assert.equal(words("terrain")[0], "from terrain");
   assert.match(words("interpolated", null, "two surfaces meet there")[1], /not measured by itself: two surfaces meet there/);

@@ -244,8 +244,8 @@ def test_on_the_page_the_answer_and_the_card_change_in_place_and_state_the_reaso
         before = card.bounding_box(), answer.bounding_box()
         aircraft.may_answer.set()
         wait_for("#answer", "measured, ")
-        wait_for("#pin-card .how summary", "m above the ground ± ")
-        wait_for("#answer", "m above the ground ± ")
+        wait_for("#pin-card .how summary", " m above the ground")
+        wait_for("#answer", " m above the ground")
         assert (card.bounding_box(), answer.bounding_box()) == before
         assert page.locator("#pin-card [data-first=yes]").count() == 3  # nothing but the words is new
         assert page.get_by_test_id("pin").count() == 1 and page.locator(".follow-it").count() == 1
