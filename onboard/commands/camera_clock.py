@@ -20,6 +20,7 @@ from contract.errors import InputError
 from onboard.camera.pixel_formats import UNDECODABLE
 from onboard.commands.imported_flight import Row
 from onboard.config.schema import Config
+from onboard.events.types import PositionFix
 from onboard.foreign_clock.clock_search import REACH_S, Clock, Evidence, Stated, Unknown, search
 from onboard.foreign_clock.log_track import log_track
 from onboard.foreign_clock.motion_cost import MotionNoise
@@ -63,6 +64,7 @@ def clock_of(
     (begin_ns, end_ns), reach_ns = log.span_ns, round(REACH_S * NS_PER_S)
     if max(moments_ns) < begin_ns - reach_ns or min(moments_ns) > end_ns + reach_ns:
         check_overlap(moments_ns, log)  # of another day, which no zone explains
+    log = _within(log, min(moments_ns) - reach_ns, max(moments_ns) + reach_ns)
     track, pairs = log_track(log, config), measure(camera, moments_ns, chosen_pairs(moments_ns), picture)
     solve, time_s = config.solve, config.solve.attitude_correlation_time_s
     tilt_deg = _between_deg(solve.attitude_white_sigma_deg, solve.attitude_sigma_deg, time_s)
@@ -84,6 +86,16 @@ def clock_of(
         hint = LOCAL_ADVICE if log.utc_sigma_s is None else f"{ADVICE}{advice}"
         raise InputError(f"clock: {found.reason}: by how much the camera's is off is not known. {hint}")
     return found
+
+
+def _within(log: TelemetryLog, first_ns: int, last_ns: int) -> TelemetryLog:
+    """Return the log between two moments: one row with the date of another year would make a track of all years
+    between. Raises InputError where no position is left.
+    """
+    kept = [pair for pair in zip(log.arrival_ns, log.events, strict=True) if first_ns <= pair[1].stamp_ns <= last_ns]
+    if not any(isinstance(event, PositionFix) for _, event in kept):
+        raise InputError(f"clock: the log has no position within {REACH_S / 3600:.0f} hours of the pictures")
+    return replace(log, events=[event for _, event in kept], arrival_ns=[moment_ns for moment_ns, _ in kept])
 
 
 def against_log(stated: Stated | None, log: TelemetryLog, is_given: bool) -> Stated | None:

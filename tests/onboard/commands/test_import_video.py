@@ -137,6 +137,14 @@ def test_when_it_began_may_be_reported(tmp_path: Path, arguments: tuple[str, ...
     assert float(first.split(",")[1]) == pytest.approx(BEGAN.timestamp() + began_s, abs=0.05)
 
 
+def test_a_row_of_another_year_costs_no_search_through_all_years(tmp_path: Path) -> None:
+    """It had no end: the log was sampled ten times a second from the one row to the others."""
+    log = table(tmp_path)
+    head, *rows = log.read_text().splitlines()
+    log.write_text("\n".join([head, f"{BEGAN.timestamp() - 26 * 365 * 86_400},-43.38,172.4,200.0", *rows]))
+    assert imported(tmp_path, clip(tmp_path / "clip.mp4"), "--start", f"{BEGAN:%Y-%m-%dT%H:%M:%S}Z") == 0
+
+
 def no_log(folder: Path) -> list[object]:
     (folder / "flight.csv").unlink()
     return []
