@@ -108,6 +108,31 @@ def _state(store: PinStore) -> list[tuple[str, int]]:
     return [(pin.name, len(pin.clicks)) for pin in store.pins()]
 
 
+def test_a_click_that_is_measured_later_is_as_if_it_had_been_at_once(path: Path | str) -> None:
+    with PinStore(path) as store:
+        first = clicked()
+        pin = store.add([first], who="ann")
+        store.edit(pin.id, name="roof", who="bob")
+        store.add_click(pin.id, clicked(2), who="bob")
+        measured = dataclasses.replace(first, method="measured", above_ground_m=6.1, sigma_above_ground_m=0.4)
+        found = store.measure(pin.id, measured)
+        assert found is not None and found.modified_unix_ns > store.pin(pin.id).created_unix_ns
+        assert (found.modified_by, found.clicks[0].method, len(found.clicks)) == ("bob", "measured", 2)
+        assert [store.undo(), store.undo(), store.undo(), store.undo()][:3] == [
+            "pin 1 got a click", "pin 1 edited", "pin 1 added",
+        ]  # fmt: skip
+        other = dataclasses.replace(measured, above_ground_m=7.2)
+        assert store.measure(pin.id, other) is not None and store.pins() == []  # also of one that is undone
+        assert store.measure("none", other) is None and store.measure(pin.id, clicked(3)) is None
+        while store.redo() is not None:
+            assert store.pins()[0].clicks[0].above_ground_m == 7.2
+        assert (store.pins()[0].name, len(store.pins()[0].clicks)) == ("roof", 2)
+        store.remove_click(pin.id, first.id)
+        assert store.measure(pin.id, measured) is None
+        store.undo()
+        assert store.pins()[0].clicks[0].above_ground_m == 6.1
+
+
 def test_a_new_change_ends_redoing_and_a_number_is_not_given_twice(path: Path | str) -> None:
     with PinStore(path) as store:
         store.add([typed()], name="a")
