@@ -80,6 +80,7 @@ BENCHMARKS = (
     Benchmark("bundle", "The window solve against GTSAM", (), ("--repeat", "5")),
     Benchmark("tracking", "A tracking step against raw Lucas-Kanade", (), ("--seconds", "3", "--passes", "1")),
     Benchmark("tracks", "Things that move", ("--flights", "3"), ("--scenes", "hover")),
+    Benchmark("manoeuvres", "Things that brake, turn and stop", (), ("--scenes", "hover", "--flights", "1")),
     Benchmark("thermal_tracking", "Poses from thermal pictures", (), ("--rows", "300 mK", "--seconds", "8")),
     Benchmark("spots", "Hot spots", (), ("--scenes", "calm", "--flights", "1", "--pictures", "60")),
     Benchmark(

@@ -209,9 +209,14 @@ def score_places(
 
 def is_inside(ellipse: Ellipse, off_m: Array) -> bool:
     """Return whether an error (2,), m east and north, lies inside."""
+    return over_ellipse(ellipse, off_m) < 1.0
+
+
+def over_ellipse(ellipse: Ellipse, off_m: Array) -> float:
+    """An error (2,), m east and north, over the ellipse in its direction."""
     a = np.radians(ellipse.azimuth_deg)
     along, across = off_m @ [np.sin(a), np.cos(a)], off_m @ [np.cos(a), -np.sin(a)]
-    return bool((along / ellipse.semi_major_m) ** 2 + (across / ellipse.semi_minor_m) ** 2 < 1.0)
+    return float(np.hypot(along / ellipse.semi_major_m, across / ellipse.semi_minor_m))
 
 
 def score_hiding(thing: Thing, said: dict[int, TrackReport], truth: Truth, scores: Scores) -> None:

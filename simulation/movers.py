@@ -7,6 +7,7 @@ seen.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,12 +25,26 @@ SPOTS = (5, 3)  # of brightness along and across a thing
 SHADOW = 0.45  # of the ground's light, where something is in the way of it
 
 
+STEP_S, LONGEST_S = 0.01, 60.0  # of the table of a thing with manoeuvres
+
+
+@dataclass(frozen=True)
+class Manoeuvre:
+    """A while, s after a thing has set off, in which it speeds up, brakes (negative; at most to a stop) or turns."""
+
+    from_s: float
+    until_s: float
+    acceleration_m_s2: float = 0.0
+    turn_deg_s: float = 0.0
+
+
 @dataclass(frozen=True)
 class MoverSpec:
     """One thing. `start_m` east, north where it is at the first picture; `course_deg` clockwise from north.
 
-    It goes at `speed_m_s` from `from_s` to `until_s` and turns at `turn_deg_s` as it goes. `albedo`: its mean
-    brightness (0.3 is the ground's), None: a shadow. `seed`: of its spots; two of the same look the same.
+    It goes at `speed_m_s` from `from_s` to `until_s` and turns at `turn_deg_s` as it goes, and does its `manoeuvres`
+    besides, which count from the first picture or when it sets off later. `albedo`: its mean brightness (0.3 is the
+    ground's), None: a shadow. `seed`: of its spots; two of the same look the same.
     """
 
     start_m: tuple[float, float]
@@ -42,6 +57,7 @@ class MoverSpec:
     until_s: float = 1e9
     albedo: float | None = 0.6
     seed: int = 0
+    manoeuvres: tuple[Manoeuvre, ...] = ()
 
     def __post_init__(self) -> None:
         if self.length_m <= 0.0 or self.width_m <= 0.0 or self.speed_m_s < 0.0 or self.until_s < self.from_s:
@@ -59,11 +75,14 @@ class MoverSpec:
 
     def course_rad(self, time_s: ArrayLike) -> Array:
         """The direction in which it heads (...,), clockwise from north."""
-        return np.radians(self.course_deg + self.turn_deg_s * self._gone_s(time_s))
+        return self._driven(time_s)[1]
 
     def place_m(self, time_s: ArrayLike) -> Array:
         """East, north (..., 2), seconds after the first picture."""
         gone, turn, course = self._gone_s(time_s), np.radians(self.turn_deg_s), np.radians(self.course_deg)
+        if self.manoeuvres:
+            along = np.stack([np.interp(gone, _TIMES_S, column) for column in self._table()[2].T], axis=-1)
+            return np.asarray(self.start_m + along, float)
         if abs(turn) < 1e-9:
             along = np.stack([gone * np.sin(course), gone * np.cos(course)], axis=-1)
         else:
@@ -73,9 +92,21 @@ class MoverSpec:
 
     def velocity_m_s(self, time_s: ArrayLike) -> Array:
         """East, north (..., 2)."""
-        time, course = np.asarray(time_s, float), self.course_rad(time_s)
-        speed = np.where((time >= self.from_s) & (time < self.until_s), self.speed_m_s, 0.0)
+        time = np.asarray(time_s, float)
+        speed, course = self._driven(time_s)
+        speed = np.where((time >= self.from_s) & (time < self.until_s), speed, 0.0)
         return np.stack([speed * np.sin(course), speed * np.cos(course)], axis=-1)
+
+    def _driven(self, time_s: ArrayLike) -> tuple[Array, Array]:
+        """Speed, m/s, and course, rad (...,) each, while it is under way."""
+        gone = self._gone_s(time_s)
+        if not self.manoeuvres:
+            return np.full_like(gone, self.speed_m_s), np.radians(self.course_deg + self.turn_deg_s * gone)
+        speed, course, _ = self._table()
+        return np.interp(gone, _TIMES_S, speed), np.interp(gone, _TIMES_S, course)
+
+    def _table(self) -> tuple[Array, Array, Array]:
+        return _driven_table(self.speed_m_s, self.course_deg, self.turn_deg_s, self.manoeuvres)
 
     def _gone_s(self, time_s: ArrayLike) -> Array:
         """The time for which it has moved since the first picture, s; negative before."""
@@ -85,6 +116,33 @@ class MoverSpec:
         )
         out: Array = time - begin
         return out
+
+
+_TIMES_S = STEP_S * np.arange(-round(LONGEST_S / STEP_S), round(LONGEST_S / STEP_S))
+
+
+@lru_cache(maxsize=64)
+def _driven_table(
+    speed_m_s: float, course_deg: float, turn_deg_s: float, manoeuvres: tuple[Manoeuvre, ...]
+) -> tuple[Array, Array, Array]:
+    """Speed (n,), m/s, course (n,), rad, and way (n, 2), m, at _TIMES_S; the way is 0 at time 0."""
+    rate = np.full(len(_TIMES_S), np.radians(turn_deg_s))
+    change = np.zeros(len(_TIMES_S))
+    for one in manoeuvres:
+        during = (one.from_s <= _TIMES_S) & (one.until_s > _TIMES_S)
+        change[during] += one.acceleration_m_s2 * STEP_S
+        rate[during] += np.radians(one.turn_deg_s)
+    speed = np.empty(len(_TIMES_S))
+    now = speed_m_s
+    for k, more in enumerate(change):
+        speed[k] = now
+        now = max(now + more, 0.0)
+    middle = len(_TIMES_S) // 2
+    turned = np.concatenate([[0.0], np.cumsum(rate[:-1] * STEP_S)])
+    course = np.radians(course_deg) + turned - turned[middle]
+    steps = STEP_S * speed[:, None] * np.stack([np.sin(course), np.cos(course)], axis=-1)
+    way = np.concatenate([np.zeros((1, 2)), np.cumsum(0.5 * (steps[1:] + steps[:-1]), axis=0)])
+    return speed, course, way - way[middle]
 
 
 class Movers:

@@ -34,8 +34,10 @@ AGAIN_S, LEAST_AGAIN = 0.3, 0.65  # unseen for so long it must look so much as i
 STOOD_S = 0.5  # at one place, after which what changes there is first of all the ground that it uncovers
 # How near to the picture's edge its middle is still looked for: a share of its size, and px.
 EDGE_SHARE, LEAST_EDGE_PX = 0.5, 3.0
+COURSE_SIGMAS = 4.0  # of the speed, from which a thing is known to turn with its course
 OLD_S = 1.0  # age of the older of the two looks that are remembered
 PRIOR_WEIGHT = 0.04
+CLIMB_SHARE = 0.12  # of its size, from where what has changed is likeliest to where it looks most like the thing
 CHAIN_PX2 = 0.01  # variance of a step of the ground, and of what a walking thing does within one
 # So many times as large as it was: something else is there too, and one sigma of its place is that share of its size.
 MERGED, MERGED_SHARE = 1.2, 0.6
@@ -62,16 +64,17 @@ class Observation:
 
 @dataclass(frozen=True, eq=False)
 class _Look:
-    """The look of a thing: a patch about its place, and how that picture's ground has turned since."""
+    """The look of a thing: a patch about its place, how it went, and how that picture's ground has turned since."""
 
     stamp_ns: int
     patch: Patch
     uv_px: Array
+    velocity: Array  # (2,), against the ground, px/s; 0 where its direction is not known
     turned: Array  # (2, 2): pixels then -> now
 
-    def warped(self, half: int) -> Image:
-        """Return the thing as it should look now, (2 half + 1) squared, about its middle."""
-        back = np.linalg.inv(self.turned)
+    def warped(self, half: int, velocity: Array) -> Image:
+        """Return the thing as it should look now that it goes at `velocity`, (2 half + 1) squared, about its middle."""
+        back = np.linalg.inv(rotation(self.turned @ self.velocity, velocity) @ self.turned)
         middle = self.uv_px - self.patch.corner
         M = np.column_stack([back, middle - back @ np.array([half, half])])
         size = 2 * half + 1
@@ -237,14 +240,15 @@ class Follower:
             return still, STILL_SIGMA_PX
         if not (like >= SURE_LIKENESS or (differs >= SURE_DIFFERENCE and like >= least)):
             return None
-        matched, sigma = place[j, i] + _peak(likeness, int(i), int(j)), 0.3 + 2.0 * (1.0 - like)
+        peak = _climbed(likeness, int(j), int(i), int(CLIMB_SHARE * self._size))
+        matched, sigma = place[peak] + _peak(likeness, *peak[::-1]), 0.3 + 2.0 * (1.0 - like)
         if changed is None or differs < SURE_DIFFERENCE:
             return matched, sigma
         if not self._is_size_known and not self._measured(changed.surely, np.array([i, j]) - reach + middle):
             return matched, sigma
         centre, spread = self._centred(changed.surely, np.array([i, j]) - reach + middle, patch)
         if spread >= MERGED_SHARE * self._size:
-            return matched, spread
+            return place[j, i] + _peak(likeness, int(i), int(j)), spread
         share = sigma**2 / (sigma**2 + spread**2)
         return matched + share * (centre - matched), sigma * spread / float(np.hypot(sigma, spread))
 
@@ -278,8 +282,9 @@ class Follower:
         mask = np.outer(soft, soft).astype(np.float32)
         mask /= mask.sum()
         kernel = np.zeros_like(mask)
+        course = self._known_velocity()
         for look in self._looks:
-            wanted = look.warped(half)
+            wanted = look.warped(half, course)
             wanted = wanted - float((mask * wanted).sum())
             kernel += mask * wanted / np.sqrt(max(float((mask * wanted * wanted).sum()), 0.25))
         return mask, kernel / np.float32(len(self._looks))
@@ -323,7 +328,7 @@ class Follower:
         patch = cut(self._seen, self._uv, int(1.5 * half) + 2)
         if patch.inside is not None:
             return
-        new = _Look(self._seen.stamp_ns, patch, self._uv.copy(), np.eye(2))
+        new = _Look(self._seen.stamp_ns, patch, self._uv.copy(), self._known_velocity(), np.eye(2))
         old = [look for look in self._looks if new.stamp_ns - look.stamp_ns >= OLD_S * 1e9]
         if not self._looks:
             self._looks = [new]
@@ -331,6 +336,15 @@ class Follower:
             self._looks = [self._looks[-1], new]
         else:
             self._looks = [self._looks[0], new]
+
+    def _known_velocity(self) -> Array:
+        """Its velocity (2,) against the ground, px/s, with which it turns; 0 where that is not known. (24.21)
+
+        So of a small thing: what would turn about it is ground.
+        """
+        sigma = float(np.sqrt(0.5 * np.trace(self._cov[2:, 2:])))
+        is_known = self._size > LARGE_PX and float(np.hypot(*self._velocity)) > COURSE_SIGMAS * sigma
+        return self._velocity if is_known else np.zeros(2)
 
     def _find_size(self) -> bool:
         """Find its middle and size from what differs about the click, if the thing has been moving; return whether."""
@@ -361,9 +375,30 @@ def _likeness(search: Image, mask: Image, kernel: Image) -> Image:
     return out
 
 
+def rotation(before: Array, now: Array) -> Array:
+    """Return the rotation (2, 2) from one direction (2,) to another; none where one of them is 0. (24.21)"""
+    turn = complex(*now) * complex(*before).conjugate()
+    if turn == 0.0:
+        return np.eye(2)
+    c, s = turn.real / abs(turn), turn.imag / abs(turn)
+    return np.array([[c, -s], [s, c]])
+
+
 def _within(size_px: float) -> float:
     """The size, or the least or the most that is followed."""
     return float(np.clip(size_px, LEAST_SIZE_PX, MOST_SIZE_PX))
+
+
+def _climbed(values: Image, j: int, i: int, most: int) -> tuple[int, int]:
+    """Return the place of the maximum that is reached from (j, i) by at most so many steps upward."""
+    for _ in range(most):
+        rows, columns = slice(max(j - 1, 0), j + 2), slice(max(i - 1, 0), i + 2)
+        near = values[rows, columns]
+        up = divmod(int(near.argmax()), near.shape[1])
+        if (rows.start + up[0], columns.start + up[1]) == (j, i):
+            break
+        j, i = rows.start + up[0], columns.start + up[1]
+    return j, i
 
 
 def _peak(values: Image, i: int, j: int) -> Array:

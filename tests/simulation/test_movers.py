@@ -7,7 +7,7 @@ import pytest
 
 from contract.camera import Camera
 from contract.errors import InputError
-from simulation.movers import Movers, MoverSpec
+from simulation.movers import Manoeuvre, Movers, MoverSpec
 from simulation.renderer import Renderer, SensorSpec
 from simulation.terrain import Terrain, TerrainSpec
 from simulation.texture import Texture, TextureSpec
@@ -50,6 +50,20 @@ def test_a_thing_goes_turns_and_stops_as_specified() -> None:
     h = 1e-4
     slope = (walker.place_m(2.0 + h) - walker.place_m(2.0 - h)) / (2 * h)
     assert np.allclose(slope, walker.velocity_m_s(2.0), atol=1e-6)
+
+
+def test_a_thing_brakes_and_turns_as_specified() -> None:
+    turn = Manoeuvre(5.0, 7.0, turn_deg_s=45.0)
+    car = MoverSpec((1.0, 2.0), 10.0, 90.0, manoeuvres=(Manoeuvre(1.0, 9.0, -4.0), Manoeuvre(10.0, 12.0, 2.0), turn))
+    assert np.allclose(car.velocity_m_s([0.0, 2.0, 8.0]), [[10.0, 0.0], [6.0, 0.0], [0.0, 0.0]], atol=0.05)
+    assert np.allclose(car.place_m([0.0, 1.0, 9.0]), [[1.0, 2.0], [11.0, 2.0], [11.0 + 100.0 / 8.0, 2.0]], atol=0.05)
+    assert np.degrees(car.course_rad(6.0)) == pytest.approx(135.0, abs=1.0)
+    assert np.allclose(car.velocity_m_s(13.0), [0.0, -4.0], atol=0.05)
+    bend = MoverSpec((0.0, 0.0), 5.0, 20.0, turn_deg_s=30.0)
+    same = MoverSpec((0.0, 0.0), 5.0, 20.0, manoeuvres=(Manoeuvre(-60.0, 60.0, turn_deg_s=30.0),))
+    times = np.linspace(-3.0, 20.0, 40)
+    assert np.allclose(same.place_m(times), bend.place_m(times), atol=2e-3)
+    assert np.allclose(same.velocity_m_s(times), bend.velocity_m_s(times), atol=0.02)
 
 
 def test_what_is_no_thing_is_refused() -> None:
