@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from contract.camera import Camera
 from contract.rotations import skew
-from onboard.measured.views import View, pixels
+from onboard.measured.views import Grey, View, pixels
 
 Array = NDArray[np.float64]
 Values = NDArray[np.float32]
@@ -32,7 +32,7 @@ class Patch:
     values: Values
 
     @classmethod
-    def at(cls, image: Values, camera: Camera, uv_px: Array) -> Patch | None:
+    def at(cls, image: Grey, camera: Camera, uv_px: Array) -> Patch | None:
         """None where it would reach over the picture's border, or the lens is not calibrated."""
         rays, valid = camera.unproject(uv_px + _FIVE)
         low, high = uv_px - HALF_PX, uv_px + HALF_PX
@@ -98,7 +98,15 @@ def _by_place(camera: Camera, xy: Array) -> Array:
     return np.array([[along[0, 0], cross[0]], [cross[0], along[1, 0]]])
 
 
-def _values(image: Values, at: Array) -> Values:
-    """Grey values at pixels (K, N, 2), bilinear."""
+def _values(image: Grey, at: Array) -> Values:
+    """Grey values at pixels (K, N, 2), bilinear; only the part of the picture about them is turned into floats."""
     x, y = np.ascontiguousarray(at[..., 0], np.float32), np.ascontiguousarray(at[..., 1], np.float32)
-    return np.asarray(cv2.remap(image, x, y, cv2.INTER_LINEAR), np.float32)
+    (left, columns), (top, rows) = (_reach(c, size) for c, size in ((x, image.shape[1]), (y, image.shape[0])))
+    part = image[rows, columns].astype(np.float32)
+    return np.asarray(cv2.remap(part, x - np.float32(left), y - np.float32(top), cv2.INTER_LINEAR), np.float32)
+
+
+def _reach(c: Values, size: int) -> tuple[int, slice]:
+    """Return the first of the pixels between which coordinates lie, along an axis of so many, and all of them."""
+    first = min(max(int(c.min()), 0), size - 1)
+    return first, slice(first, min(max(int(c.max()) + 2, first + 1), size))

@@ -65,7 +65,7 @@ class Questions:
         if held is None or identity(held.feature_set) != identity(asked):
             held = self._locator = Locator(asked)
         ray, valid = asked.camera.unproject(uv_px)
-        patch = Patch.at(kept.image.astype(np.float32), asked.camera, uv_px) if valid else None
+        patch = Patch.at(kept.image, asked.camera, uv_px) if valid else None
         if patch is None:
             return Measured.BORDER
         sought, ground_w, ground_sigma = where(held, ray[:2])

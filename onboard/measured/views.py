@@ -62,7 +62,7 @@ class View:
     pixel as it was found, `by_depth` (6, N) with the feature's d ln w; `pixel_sigma_px` is one sigma of the former.
     """
 
-    image: NDArray[np.float32]
+    image: Grey
     camera: Camera
     R: Array
     centre_m: Array
@@ -115,7 +115,7 @@ def view_of(
     R, centre, by_pixel, by_depth, sigma_px = solved
     every = np.zeros((6, len(kept), 2)), np.zeros((6, len(kept)))
     every[0][:, rows], every[1][:, rows] = by_pixel, by_depth
-    return View(other_image.astype(np.float32), camera, R, centre, *every, sigma_px)
+    return View(other_image, camera, R, centre, *every, sigma_px)
 
 
 def resect(

@@ -138,7 +138,7 @@ def views_of(world: World, textured: World) -> list[object]:
             clicked.image, features, other.image, other.its_set, relative_pose(clicked.its_set, other.its_set)
         )
         assert view is not None
-        object.__setattr__(view, "image", world.image(n).astype(np.float32))
+        object.__setattr__(view, "image", world.image(n))
         out.append(view)
     return out
 
@@ -169,7 +169,7 @@ def test_the_derivatives_of_a_patch_are_those_of_finite_differences() -> None:
     clicked, other = world.kept(CLICKED), world.kept(2)
     start = relative_pose(clicked.its_set, other.its_set)
     view = view_of(clicked.image, Features.of(clicked.its_set), other.image, other.its_set, start)
-    patch = Patch.at(clicked.image.astype(np.float32), CAMERA, np.array([150.0, 110.0]))
+    patch = Patch.at(clicked.image, CAMERA, np.array([150.0, 110.0]))
     assert view is not None and patch is not None
     w, slope = 0.0102, np.array([0.02, -0.01])
     b, _ = by_inverse_depth(patch, view, w)
