@@ -9,12 +9,12 @@ from __future__ import annotations
 import csv
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from contract.errors import InputError
-from onboard.telemetry.civil_time import moment_ns
+from onboard.telemetry.civil_time import moments_ns
 from onboard.telemetry.contradictions import LEAST_SHARE, beginning
 from onboard.telemetry.read_options import ReadOptions
 from onboard.telemetry.row_events import (
@@ -60,7 +60,7 @@ class Dialect:
 
     marks: tuple[str, ...]
     columns: Mapping[str, str]
-    stamps: Callable[[Sequence[str], list[Cells]], Stamps]
+    stamps: Callable[[Sequence[str], list[Cells], str], Stamps]
     sigma_datum_m: float
     defaults: Mapping[str, str]
 
@@ -90,9 +90,10 @@ class Dialect:
             if name not in at:
                 raise InputError(f"no column for {name} in it")
         whole = [cells for cells in table if len(cells) == len(heads) and not any("\0" in cell for cell in cells)]
-        stamps = self.stamps(heads, whole)
+        mark = _decimal_mark(cells[at[name][0]] for cells in whole for name in ("lat_deg", "lon_deg"))
+        stamps = self.stamps(heads, whole, mark)
         rows = [
-            (stamp_ns, self._row(cells, at))
+            (stamp_ns, self._row(cells, at, mark))
             for stamp_ns, cells in zip(stamps.ns, whole, strict=True)
             if stamp_ns is not None and MIN_UNIX_S <= stamp_ns / NS_PER_S <= MAX_UNIX_S
         ]
@@ -101,10 +102,10 @@ class Dialect:
         rows, of_heights = with_heights(rows, options.home_amsl_m, options.undulation_m, self.sigma_datum_m)
         return log_of_rows(with_steps(rows, decimals), notes + of_heights, stamps.utc_sigma_s, is_repeated=True)
 
-    def _row(self, cells: Cells, at: Mapping[str, tuple[int, float]]) -> Row:
+    def _row(self, cells: Cells, at: Mapping[str, tuple[int, float]], mark: str) -> Row:
         row: Row = {}
         for name, (index, factor) in at.items():
-            value = _number(cells[index]) * factor
+            value = _number(cells[index], mark) * factor
             if abs(value) <= LIMITS.get(name, math.inf):
                 row[name] = value
         if "lat_deg" not in row or "lon_deg" not in row or (row["lat_deg"], row["lon_deg"]) == (0.0, 0.0):
@@ -136,13 +137,23 @@ def _column(heads: Sequence[str], pattern: str) -> tuple[int, float] | None:
     return None
 
 
-def _number(cell: str) -> float:
-    """Return a cell's number, with a point or, as some languages have it, a comma; nan where it has none."""
+def _decimal_mark(degrees: Iterable[str]) -> str:
+    """Return what stands before decimals, a point or, as some languages have it, a comma: in degrees it is clear."""
+    cells = list(degrees)
+    commas, points = (sum(mark in cell for cell in cells) for mark in ",.")
+    return "," if commas > points else "."
+
+
+def _number(cell: str, mark: str) -> float:
+    """Return a cell's number; the other mark may group its digits by three. nan where it has none, or may be either."""
     text = cell.strip()
-    if text.count(",") == 1 and "." not in text:
-        text = text.replace(",", ".")
+    other = "." if mark == "," else ","
+    if mark == "," and re.fullmatch(r"[+-]?\d{1,3}\.\d{3}", text):
+        return math.nan
+    if re.fullmatch(rf"[+-]?\d{{1,3}}(?:[{other}]\d{{3}})+(?:[{mark}]\d*)?", text):
+        text = text.replace(other, "")
     try:
-        return float(text)
+        return float(text.replace(mark, "."))
     except ValueError:
         return math.nan
 
@@ -160,16 +171,16 @@ def _damage(good: int, lines: int) -> list[str]:
     return [f"{lines - good} of {lines} lines have no time that can be read, or lack cells, and are not used"]
 
 
-def _elapsed(heads: Sequence[str], rows: list[Cells]) -> Stamps:
+def _elapsed(heads: Sequence[str], rows: list[Cells], mark: str) -> Stamps:
     """AirData's times: milliseconds, and a date cut to the second that they begin at."""
     elapsed, date = _column(heads, r"time\(millisecond\)"), _column(heads, r"datetime\((?:utc|local)\)")
     if elapsed is None or date is None:
         raise InputError("no column time(millisecond) or no datetime(utc) in it: its moments are not known")
     passed_ns = [
-        round(value * 1e6) if math.isfinite(value := _number(cells[elapsed[0]])) and abs(value) < 1e12 else None
+        round(value * 1e6) if math.isfinite(value := _number(cells[elapsed[0]], mark)) and abs(value) < 1e12 else None
         for cells in rows
     ]
-    dates = [moment_ns(cells[date[0]]) for cells in rows]
+    dates = moments_ns(cells[date[0]] for cells in rows)
     pairs = zip(dates, passed_ns, strict=True)
     began = [found[0] - passed for found, passed in pairs if found is not None and passed is not None]
     if not began:
@@ -177,10 +188,14 @@ def _elapsed(heads: Sequence[str], rows: list[Cells]) -> Stamps:
     began_ns, notes = beginning(began, "the flight")
     is_utc = heads[date[0]].endswith("(utc)")
     out = [None if passed is None else began_ns + passed for passed in passed_ns]
-    return Stamps(out, SIGMA_PHONE_S if is_utc else None, notes if is_utc else [*notes, NO_ZONE])
+    if not is_utc:
+        return Stamps(out, None, [*notes, NO_ZONE])
+    # A phone's clock that was set in flight: what its dates differ by, beyond the second that they are cut to.
+    spread_s = (began_ns - sorted(began)[len(began) // 2]) / NS_PER_S
+    return Stamps(out, max(SIGMA_PHONE_S, spread_s), notes)
 
 
-def _dated(heads: Sequence[str], rows: list[Cells]) -> Stamps:
+def _dated(heads: Sequence[str], rows: list[Cells], _: str) -> Stamps:
     """Times of a DJI flight record: date and time of day in UTC where there are, else local, in two columns or one."""
     columns = {
         zone: (_column(heads, rf"custom\.date{zone}"), time)
@@ -191,22 +206,21 @@ def _dated(heads: Sequence[str], rows: list[Cells]) -> Stamps:
         raise InputError("no column CUSTOM.updateTime in it: its moments are not known")
     zone, (date, time) = next(iter(columns.items()))
     is_utc = "utc" in zone
-    out = []
-    for cells in rows:
-        text = cells[time[0]] if date is None else f"{cells[date[0]].strip()} {cells[time[0]].strip()}"
-        found = moment_ns(text)
-        out.append(None if found is None else found[0])
+    found = moments_ns(
+        cells[time[0]] if date is None else f"{cells[date[0]].strip()} {cells[time[0]].strip()}" for cells in rows
+    )
+    out = [None if one is None else one[0] for one in found]
     if not any(out):
         raise InputError(f"no time with its date in column {heads[time[0]]}: its moments are not known")
     return Stamps(out, SIGMA_PHONE_S if is_utc else None, [] if is_utc else [NO_ZONE])
 
 
-def _stated(heads: Sequence[str], rows: list[Cells]) -> Stamps:
+def _stated(heads: Sequence[str], rows: list[Cells], _: str) -> Stamps:
     """Times in one column, each with its zone or without."""
     column = _column(heads, "timestamp")
     if column is None:
         raise InputError("no column Timestamp in it: its moments are not known")
-    found = [moment_ns(cells[column[0]]) for cells in rows]
+    found = moments_ns(cells[column[0]] for cells in rows)
     is_utc = any(one is not None and one[1] for one in found)
     # Of a file in which some times have a zone the others are not known.
     out = [None if one is None or one[1] is not is_utc else one[0] for one in found]

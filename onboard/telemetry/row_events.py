@@ -5,13 +5,14 @@ A reader only finds out which column of its format is which of ours, and in what
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import replace
 
 from contract.errors import InputError
 from onboard.events.types import GpsQuality, NavEvent, PositionFix, RangeFinder
-from onboard.telemetry.contradictions import agreeing
+from onboard.telemetry.contradictions import LEAST_SHARE, agreeing
 from onboard.telemetry.srt_axis_order import METRES_A_DEGREE
 from onboard.telemetry.telemetry_log import TelemetryLog, attitudes, gimbal_attitudes, vouched, with_news
 
@@ -26,6 +27,7 @@ ABOVE_HOME, ABOVE_ELLIPSOID = "height_above_home_m", "height_ellipsoid_m"  # the
 MIN_UNIX_S, MAX_UNIX_S = 946_684_800, 4_102_444_800
 LIMITS = {"lat_deg": 90.0, "lon_deg": 360.0, "height_amsl_m": 1e5, ABOVE_HOME: 1e5, ABOVE_ELLIPSOID: 1e5}
 DOWN = (0.0, 0.0, 1.0)
+NO_FIX = (0.0, 0.0)  # as receivers write it: latitude and longitude
 # One sigma of where heights count from: a receiver's own from an unnamed geoid, or from the ellipsoid, which lies
 # within tens of metres of the sea in most places; a barometer's from 1013 hPa, which differs from the day's by 12 hPa
 # (8.3 m each); and where nothing specifies whether it is the sea or the take-off.
@@ -44,7 +46,11 @@ def log_of_rows(
     Raises InputError, without a file's name, for rows without a position, or whose positions contradict one another.
     """
     ordered = sorted(rows, key=lambda item: item[0])
-    placed = [(stamp_ns, row) for stamp_ns, row in ordered if all(name in row for name in POSITION)]
+    placed = [
+        (stamp_ns, row)
+        for stamp_ns, row in ordered
+        if all(name in row for name in POSITION) and (row["lat_deg"], row["lon_deg"]) != NO_FIX
+    ]
     if not placed:
         raise InputError(f"no position in it ({', '.join(POSITION)} all in one line)")
     positions = [_position(stamp_ns, row) for stamp_ns, row in placed]
@@ -52,9 +58,19 @@ def log_of_rows(
     if is_repeated:
         new = with_news(positions)
         positions, claims = [positions[at] for at in new], [claims[at] for at in new]
+    else:
+        _check_stamps(positions)
     agree, contradictions = agreeing(positions)
     events = vouched([positions[at] for at in agree], [claims[at] for at in agree]) + _others(ordered)
     return replace(TelemetryLog.by_stamp(events), notes=(*notes, *contradictions), utc_sigma_s=utc_sigma_s)
+
+
+def _check_stamps(positions: list[PositionFix]) -> None:
+    """Raise InputError for times that were cut off, as spreadsheets do: many positions then have that of another."""
+    pairs = itertools.pairwise(positions)
+    same = sum(a.stamp_ns == b.stamp_ns and (a.lat_deg, a.lon_deg) != (b.lat_deg, b.lon_deg) for a, b in pairs)
+    if same > (1.0 - LEAST_SHARE) * len(positions):
+        raise InputError(f"{same} of its {len(positions)} positions have the time of another: its times were cut off")
 
 
 def with_heights(
@@ -69,11 +85,14 @@ def with_heights(
     """
     placed = [row for _, row in rows if "lat_deg" in row]
     if not placed:
-        raise InputError("no position in it: the receiver had no fix")
+        raise InputError(
+            "no position in it: the receiver had no fix, or latitude and longitude are not decimal degrees"
+        )
     if home_amsl_m is not None:
         if not any(ABOVE_HOME in row for row in placed):
             raise InputError("no height above the take-off in it; leave --home-amsl-m out")
-        out = [(t, _with(row, home_amsl_m + row[ABOVE_HOME]) if ABOVE_HOME in row else row) for t, row in rows]
+        # A row without one does not fall back on its height above the sea, which another sensor has measured.
+        out = [(t, _with(row, home_amsl_m + row[ABOVE_HOME] if ABOVE_HOME in row else math.nan)) for t, row in rows]
         return out, []
     if any("height_amsl_m" in row for row in placed):
         if not sigma_datum_m:
@@ -101,7 +120,9 @@ def with_steps(rows: Rows, decimals: int) -> Rows:
 
 
 def _with(row: Row, height_amsl_m: float) -> Row:
-    return {name: value for name, value in row.items() if name != ABOVE_ELLIPSOID} | {"height_amsl_m": height_amsl_m}
+    """The row with that height above the sea in place of its others; without any for nan."""
+    others = {name: value for name, value in row.items() if name not in (ABOVE_ELLIPSOID, "height_amsl_m")}
+    return others if math.isnan(height_amsl_m) else others | {"height_amsl_m": height_amsl_m}
 
 
 def _position(stamp_ns: int, row: Row) -> PositionFix:
