@@ -58,7 +58,10 @@ def run(minutes: int, **last: float) -> Soak:
 
 @pytest.mark.long
 def test_a_minute_through_every_fault_passes(simulated: Leg, cache: Path, tmp_path: Path) -> None:
-    """Camera, telemetry and GPS are lost and come back; the daemon says so, is well again, and ends cleanly."""
+    """Camera, telemetry and GPS are lost and come back; the daemon says so, is well again, and ends cleanly.
+
+    Three times as fast as it would fly: at the speed that a quick machine reaches, five times, pictures are dropped.
+    """
     faults = Faults(unplugged=((14.0, 5.0),), cut=((26.0, 5.0),), no_gps=((38.0, 8.0),))
     done = soak(
         simulated,
@@ -68,7 +71,7 @@ def test_a_minute_through_every_fault_passes(simulated: Leg, cache: Path, tmp_pa
         leg_seconds=SECONDS,
         rate_hz=RATE_HZ,
         cache=cache,
-        top_speed=12.0,
+        top_speed=3.0,
         rotate_mb=1.0,
     )
     # On a busy machine a picture may be dropped at this speed, and of so few one is more than one in a thousand.

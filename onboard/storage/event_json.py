@@ -139,7 +139,10 @@ def _value(value: Any, hint: Any, name: str) -> Any:
     if origin is typing.Literal and value in inner:
         return value
     if hint in CHANNELS and isinstance(value, dict):
-        return _nav_event(hint, value)
+        try:
+            return _nav_event(hint, value)
+        except InputError as error:
+            raise InputError(f"{name}: {error}") from None
     if hint is float and isinstance(value, (int, float)) and not isinstance(value, bool):
         return value
     if hint in (int, str, bool) and type(value) is hint:
