@@ -5,6 +5,7 @@ Read as a stream: of a file that is cut, what stands before the cut is used.
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,6 +18,7 @@ from onboard.telemetry.nmea_source import MAX_DILUTION, RANGE_SIGMA_M
 from onboard.telemetry.read_options import ReadOptions
 from onboard.telemetry.row_events import (
     LIMITS,
+    NO_FIX,
     SIGMA_GEOID_M,
     SIGMA_UNSPECIFIED_M,
     Row,
@@ -29,7 +31,7 @@ from onboard.telemetry.telemetry_log import TelemetryLog
 
 CHUNK = 65_536
 NUMBERS = {"ele": "height_amsl_m", "sat": "satellites", "geoidheight": "undulation_m"}
-LEVEL_M = 5.0  # of a first height, which may be the sea's or one above the take-off
+LEVEL_M = 5.0  # of the lowest height, which may be the sea's or one above the take-off
 MAX_TEXT = 200
 
 
@@ -45,16 +47,21 @@ def read_gpx(path: Path, options: ReadOptions) -> TelemetryLog:
     if not track.points:
         raise InputError("no track point (trkpt) in it: waypoints and routes have no times")
     if not track.rows:
-        raise InputError("no time in its track points: a track that was planned, or exported without times")
+        raise InputError("no time or no fix in its track points: a track that was planned, or exported without times")
     if not any("height_amsl_m" in row for _, row in track.rows):
         raise InputError("no height (ele) in its track points")
+    if track.are_at_once():
+        raise InputError("several of its tracks (trk) are of the same time: leave the aircraft's alone in it")
     if track.points > len(track.rows):
-        notes.append(f"{track.points - len(track.rows)} of {track.points} track points have no time and are not used")
-    first_m = next(row["height_amsl_m"] for _, row in track.rows if "height_amsl_m" in row)
-    datum_m = SIGMA_UNSPECIFIED_M if abs(first_m) < LEVEL_M else SIGMA_GEOID_M
+        notes.append(
+            f"{track.points - len(track.rows)} of {track.points} track points have no time or no fix and are not used"
+        )
+    heights_m = [row["height_amsl_m"] for _, row in track.rows if "height_amsl_m" in row]
+    lowest_m = min(heights_m[0], *heights_m, key=abs)
+    datum_m = SIGMA_UNSPECIFIED_M if abs(lowest_m) < LEVEL_M else SIGMA_GEOID_M
     rows, of_heights = with_heights(with_steps(track.rows, track.decimals), None, options.undulation_m, datum_m)
     if datum_m == SIGMA_UNSPECIFIED_M:
-        of_heights = [f"{of_heights[0]}: they begin at {first_m:.1f} m, which may be the take-off's"]
+        of_heights = [f"{of_heights[0]}: they reach {lowest_m:.1f} m, which may be the take-off's"]
     zone: tuple[float | None, list[str]] = (0.0, []) if track.has_zone else (None, [NO_ZONE])
     return log_of_rows(rows, [*notes, *of_heights, *zone[1]], zone[0], is_repeated=True)
 
@@ -67,6 +74,8 @@ class _Track:
     points: int = 0
     decimals: int = 0
     has_zone: bool = True
+    spans_ns: dict[int, tuple[int, int]] = field(default_factory=dict)  # from when to when each track lasts
+    _tracks: int = 0
     _open: list[str] = field(default_factory=list)
     _row: Row = field(default_factory=dict)
     _time: str = ""
@@ -94,6 +103,7 @@ class _Track:
         name = tag.rpartition(":")[2]
         self._open.append(name)
         self._text = ""
+        self._tracks += name == "trk"
         if name == "trkpt":
             texts = attributes.get("lat", ""), attributes.get("lon", "")
             lat_deg, lon_deg = (_number(text) for text in texts)
@@ -118,16 +128,24 @@ class _Track:
             elif name == "hdop" and 0.0 < (value := _number(self._text)) <= MAX_DILUTION:
                 sigma_m = RANGE_SIGMA_M * value
                 self._row |= {"sigma_horizontal_m": sigma_m, "sigma_vertical_m": 2.0 * sigma_m}
-            elif name == "fix" and self._text.strip() == "none":
-                self._row.pop("lat_deg", None)
+            elif name == "fix" and self._text.strip() in ("none", "2d"):
+                self._row.pop("lat_deg", None)  # of two dimensions: its height is none
 
     def _finish(self) -> None:
         self.points += 1
         moment = moment_ns(self._time)
-        is_usable = "lat_deg" in self._row and abs(self._row.get("height_amsl_m", 0.0)) <= LIMITS["height_amsl_m"]
+        is_usable = "lat_deg" in self._row and (self._row["lat_deg"], self._row["lon_deg"]) != NO_FIX
+        is_usable &= abs(self._row.get("height_amsl_m", 0.0)) <= LIMITS["height_amsl_m"]
         if moment is not None and is_usable:
             self.has_zone &= moment[1]
             self.rows.append((moment[0], self._row))
+            first_ns, last_ns = self.spans_ns.get(self._tracks, (moment[0], moment[0]))
+            self.spans_ns[self._tracks] = min(first_ns, moment[0]), max(last_ns, moment[0])
+
+    def are_at_once(self) -> bool:
+        """Return whether two tracks overlap in time: of two aircraft, of one and its pilot, or of one twice."""
+        spans = sorted(self.spans_ns.values())
+        return any(later[0] < earlier[1] for earlier, later in itertools.pairwise(spans))
 
 
 def _refuse(*_: object) -> None:

@@ -93,7 +93,7 @@ FORMATS = (
     ),
     LogFormat(
         "gpx", "a GPX track", ".gpx", "an element `gpx`", begins_gpx, read_gpx,
-        "position; `ele` +-40 m, +-300 m where it begins at about 0",
+        "position; `ele` +-40 m, +-300 m where it reaches about 0",
     ),
     LogFormat(
         "ass", "an Autel .ass", ".ass", "`[Script Info]`", srt_reader.begins_ass,

@@ -60,6 +60,8 @@ def _epochs(sentences: list[Any]) -> list[_Epoch]:
     out: list[_Epoch] = []
     for sentence in sentences:
         kind = getattr(sentence, "msgID", "")
+        if kind == "DTM" and (datum := str(getattr(sentence, "datum", "") or "W84")) != "W84":
+            raise InputError(f"its positions are of datum {datum}, not WGS 84 (DTM): set the receiver to W84")
         moment = getattr(sentence, "time", None)
         if kind != "VTG":
             if not isinstance(moment, clock_time) or kind not in KINDS | {"ZDA"}:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from contract.errors import InputError
 from onboard.telemetry.civil_time import moment_ns
-from onboard.telemetry.gps_time import leap_seconds, unix_ns_of_gps
+from onboard.telemetry.gps_time import GPS_EPOCH_UNIX_S, WEEK_S, leap_seconds
 from onboard.telemetry.read_options import ReadOptions
 from onboard.telemetry.row_events import ABOVE_ELLIPSOID, LIMITS, Row, Rows, log_of_rows, with_heights
 from onboard.telemetry.telemetry_log import NS_PER_S, TelemetryLog
@@ -65,15 +65,17 @@ def _row(line: str, system: str, height: str) -> tuple[int, Row] | None:
 
 
 def _stamp(first: str, second: str, system: str) -> int | None:
-    """A date and a time, or a GPS week and its seconds, on Unix time."""
+    """A date and a time, or a week and its seconds, both of the system that the head names, on Unix time."""
     if "/" not in first:
         week, seconds = int(first), float(second)
         if not (0 < week < 10_000 and 0.0 <= seconds < 604_800.0):
             return None
-        return unix_ns_of_gps(week, 0) + round(seconds * 1e9)
-    found = moment_ns(f"{first} {second}")
-    if found is None:
-        return None
+        counted_ns = (GPS_EPOCH_UNIX_S + week * WEEK_S) * NS_PER_S + round(seconds * 1e9)
+    else:
+        found = moment_ns(f"{first} {second}")
+        if found is None:
+            return None
+        counted_ns = found[0]
     if system == "GPST":
-        return found[0] - leap_seconds(found[0] / NS_PER_S) * NS_PER_S
-    return found[0] - (JST_NS if system == "JST" else 0)
+        return counted_ns - leap_seconds(counted_ns / NS_PER_S) * NS_PER_S
+    return counted_ns - (JST_NS if system == "JST" else 0)

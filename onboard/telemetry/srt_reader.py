@@ -37,7 +37,7 @@ from onboard.telemetry.srt_axis_order import (
 from onboard.telemetry.telemetry_log import TelemetryLog, attitudes, gimbal_attitudes, vouched, with_news
 
 _NUMBER = r"([+-]?\d{1,9}(?!\d)(?:\.\d+)?)"
-_INTERVAL = re.compile(r"(\d+):(\d\d):(\d\d)[,.](\d{1,3})\s*-->\s*\d+:\d\d:\d\d[,.]\d{1,3}")
+_INTERVAL = re.compile(r"(?<!\d)(\d+):(\d\d):(\d\d)[,.](\d{1,3})\s*-->\s*\d+:\d\d:\d\d[,.]\d{1,3}")
 _DATE = re.compile(
     r"(?<!\d)(\d{4})[-./](\d{1,2})[-./](\d{1,2})[ T]+(\d{1,2}):(\d{2}):(\d{2})(?:[.,](\d{3})(?:[.,](\d{3}))?)?"
 )
@@ -201,6 +201,7 @@ def _by_letters(letters: re.Match[str]) -> tuple[str | None, str | None]:
     signed = {
         "lat" if letter.upper() in "NS" else "lon": ("-" if letter.upper() in "SW" else "") + number.lstrip("+")
         for letter, number in (letters.group(1, 2), letters.group(3, 4))
+        if not (letter.upper() in "SW" and number.startswith("-"))  # is south of south north?
     }
     return signed.get("lat"), signed.get("lon")
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import operator
 from pathlib import Path
 
 import pytest
@@ -91,3 +93,74 @@ def test_a_place_of_zeros_is_no_fix_in_any_table(tmp_path: Path, zero: str) -> N
     before = rows_of(f"17952169{{k:02d}},{zero},500")
     text = "unix_time_s,lat_deg,lon_deg,height_amsl_m\n" + before + rows_of("17952170{s:02d}.{d},47.1{k:06d},8.2,500")
     assert len(of(read_text(tmp_path, text), PositionFix)) == 100
+
+
+def point(k: int, more: str = "", lat_deg: float = 47.1, height_m: float = 500.0, lon_deg: float = 8.2) -> str:
+    return (
+        f'<trkpt lat="{lat_deg}" lon="{lon_deg}"><ele>{height_m}</ele>'
+        f"<time>2026-06-01T10:{k // 60:02d}:{k % 60:02d}Z</time>{more}</trkpt>"
+    )
+
+
+def gpx(*tracks: list[str]) -> str:
+    return "<gpx>" + "".join(f"<trk><trkseg>{''.join(points)}</trkseg></trk>" for points in tracks) + "</gpx>"
+
+
+def test_a_gpx_of_two_tracks_at_once_is_of_no_one_aircraft(tmp_path: Path) -> None:
+    """The pilot's telephone within 100 m of it contradicts nothing."""
+    flight, pilot = [point(k) for k in range(60)], [point(k, lat_deg=47.1003, height_m=450.0) for k in range(30, 90)]
+    with pytest.raises(InputError, match="several of its tracks"):
+        read_text(tmp_path, gpx(flight, pilot))
+    two = read_text(tmp_path, gpx(flight, [point(k) for k in range(300, 360)]))
+    assert len(of(two, PositionFix)) == 120
+
+
+def test_points_of_a_gpx_without_a_fix_or_with_a_flat_one_are_left_out(tmp_path: Path) -> None:
+    bad = [point(k, lat_deg=0.0, lon_deg=0.0, height_m=0.0) for k in range(20)]
+    bad += [point(k, "<fix>2d</fix>", height_m=0.0) for k in range(20, 30)]
+    log = read_text(tmp_path, gpx([*bad, *(point(k, "<fix>3d</fix>") for k in range(30, 60))]))
+    assert [fix.height_amsl_m for fix in of(log, PositionFix)] == [500.0] * 30
+    assert "30 of 60 track points" in log.notes[0] and "+-40 m" in log.notes[1]
+
+
+def test_heights_of_a_gpx_that_come_down_to_about_0_may_be_the_take_off_s(tmp_path: Path) -> None:
+    log = read_text(tmp_path, gpx([point(k, height_m=60.0 - k) for k in range(60)]))
+    assert "+-300 m" in log.notes[0] and "they reach 1.0 m" in log.notes[0]
+
+
+@pytest.mark.parametrize(
+    ("system", "time", "unix_s"),
+    [
+        ("GPST", "2421 122400.000", 1_780_308_000 - 18),
+        ("UTC", "2421 122400.000", 1_780_308_000),
+        ("JST", "2421 122400.000", 1_780_308_000 - 9 * 3600),
+        ("GPST", "2026/06/01 10:00:00.000", 1_780_308_000 - 18),
+    ],
+)
+def test_the_times_of_rtklib_are_of_the_system_in_its_head(tmp_path: Path, system: str, time: str, unix_s: int) -> None:
+    """A week and its seconds are counted in that system too."""
+    text = f"%  {system}  latitude(deg) longitude(deg)  height(m)  Q\n{time} -47.1 -8.2 500 1 12\n"
+    assert read_text(tmp_path, text).span_ns[0] == unix_s * 10**9
+
+
+def test_a_receiver_s_positions_of_another_datum_are_refused(tmp_path: Path) -> None:
+    """Tokyo's are 400 m off."""
+    parts = ["GPDTM,{0},,0.1,N,0.1,W,10,W84", "GPRMC,100000.00,A,4706.0,N,00812.0,W,10.0,90.0,010626,,,A"]
+    parts.append("GPGGA,100000.00,4706.0,N,00812.0,W,1,12,0.8,500.0,M,48.0,M,,")
+
+    def of_datum(name: str) -> str:
+        texts = [part.format(name) for part in parts]
+        return "".join(f"${t}*{functools.reduce(operator.xor, t.encode()):02X}\r\n" for t in texts)
+
+    (fix,) = of(read_text(tmp_path, of_datum("W84")), PositionFix)
+    assert (fix.lat_deg, fix.lon_deg) == (47.1, -8.2)
+    with pytest.raises(InputError, match="datum TOY, not WGS 84"):
+        read_text(tmp_path, of_datum("TOY"))
+
+
+def test_a_letter_and_a_sign_that_both_mean_south_are_no_position_and_no_crash(tmp_path: Path) -> None:
+    text = "1\n00:00:00,000 --> 00:00:01,000\nGPS(E: 8.2, S: -47.1, 501.3m)\n"
+    with pytest.raises(InputError, match="no position in its 1 subtitles"):
+        read_text(tmp_path, text)
+    (fix,) = of(read_text(tmp_path, text.replace("S: -", "S: ")), PositionFix)
+    assert fix.lat_deg == -47.1
