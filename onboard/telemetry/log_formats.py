@@ -108,7 +108,8 @@ FORMATS = (
     ),
     LogFormat(
         "nmea", "a receiver's NMEA log", ".nmea", "`$GPGGA,...*5F`", begins_nmea, lambda path, _: read_nmea(path),
-        "position, height above the sea, velocity, receiver; GGA and RMC or ZDA are needed",
+        "position, height above the sea (+-40 m where GGA states no height of the geoid), velocity, receiver; GGA and "
+        "RMC or ZDA are needed",
     ),
     LogFormat(
         "pos", "a solution of RTKLIB", ".pos", "a head `% GPST`, `% UTC`", begins_pos, read_pos,

@@ -7,13 +7,13 @@ from dataclasses import dataclass, field, replace
 from datetime import UTC, date, datetime
 from datetime import time as clock_time
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 from contract.errors import InputError
 from onboard.events.types import GpsQuality, NavEvent, PositionFix
 from onboard.telemetry.contradictions import agreeing
 from onboard.telemetry.nmea_source import DAY_NS, KINDS, day_ns_of, epoch_events, sentence_of
-from onboard.telemetry.row_events import MAX_UNIX_S, MIN_UNIX_S
+from onboard.telemetry.row_events import MAX_UNIX_S, MIN_UNIX_S, SIGMA_GEOID_M
 from onboard.telemetry.telemetry_log import NS_PER_S, TelemetryLog
 
 _SENTENCE = re.compile(rb"^[^$\r\n]{0,64}\$G[A-Z]{4},[^\r\n]*\*[0-9A-Fa-f]{2}", re.MULTILINE)
@@ -53,7 +53,15 @@ def read_nmea(path: Path) -> TelemetryLog:
     if damaged:
         notes = [f"{damaged} of {len(lines)} lines are no whole sentence and are not used", *notes]
     used = [event for event in events if not isinstance(event, PositionFix) or id(event) in good]
+    if any(_has_no_geoid(event) for event in used):
+        notes = [*notes, f"no height of the geoid in it: heights are +-{SIGMA_GEOID_M:.0f} m as a whole"]
+        used = [replace(event, sigma_datum_m=SIGMA_GEOID_M) if _has_no_geoid(event) else event for event in used]
     return replace(TelemetryLog.by_stamp(used), notes=tuple(notes))
+
+
+def _has_no_geoid(event: NavEvent) -> TypeGuard[GpsQuality]:
+    """Return whether a report of a fix lacks the geoid's separation, or has the 0 of a receiver that knows no geoid."""
+    return isinstance(event, GpsQuality) and event.has_fix and not event.undulation_m
 
 
 def _epochs(sentences: list[Any]) -> list[_Epoch]:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from contract.errors import InputError
-from onboard.events.types import NavEvent, PositionFix
+from onboard.events.types import GpsQuality, NavEvent, PositionFix
 from onboard.telemetry.log_files import read_log
 from onboard.telemetry.read_options import ReadOptions
 from onboard.telemetry.telemetry_log import TelemetryLog
@@ -141,6 +141,18 @@ def test_the_times_of_rtklib_are_of_the_system_in_its_head(tmp_path: Path, syste
     """A week and its seconds are counted in that system too."""
     text = f"%  {system}  latitude(deg) longitude(deg)  height(m)  Q\n{time} -47.1 -8.2 500 1 12\n"
     assert read_text(tmp_path, text).span_ns[0] == unix_s * 10**9
+
+
+@pytest.mark.parametrize(("separation", "sigma_m"), [("48.0", None), ("0.0", 40.0), ("", 40.0)])
+def test_heights_of_a_receiver_that_knows_no_geoid_may_be_the_ellipsoid_s(
+    tmp_path: Path, separation: str, sigma_m: float | None
+) -> None:
+    texts = ("GPRMC,100000.00,A,4706.0,N,00812.0,E,10.0,90.0,010626,,,A",
+             f"GPGGA,100000.00,4706.0,N,00812.0,E,1,12,0.8,500.0,M,{separation},M,,")  # fmt: skip
+    log = read_text(tmp_path, "".join(f"${t}*{functools.reduce(operator.xor, t.encode()):02X}\r\n" for t in texts))
+    (quality,) = of(log, GpsQuality)
+    assert quality.sigma_datum_m == sigma_m
+    assert any("geoid" in note for note in log.notes) is (sigma_m is not None)
 
 
 def test_a_receiver_s_positions_of_another_datum_are_refused(tmp_path: Path) -> None:
