@@ -14,7 +14,6 @@ from __future__ import annotations
 import argparse
 import tempfile
 from collections import defaultdict
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -41,7 +40,6 @@ SETTLED = 30  # pictures after the click, from which speed and course count
 UNDER_WAY_M_S = 0.5
 EDGE_PX = 8.0
 CAR_M, BICYCLE_M, PERSON_M = (4.0, 1.8), (1.8, 0.6), (0.5, 0.5)
-M_PX = 0.137
 
 
 @dataclass
@@ -58,7 +56,7 @@ class Score:
 
 @dataclass(frozen=True)
 class Way:
-    """How a thing goes, seen from the place (ahead, right, m) at which it is at a time (s)."""
+    """A thing's motion, seen from the place (ahead, right, m) at which it is at a time (s)."""
 
     name: str
     size_m: tuple[float, float]
@@ -129,7 +127,7 @@ def measure(scene: str, group: int, seed: int, scores: defaultdict[str, Score]) 
             for frame, its_set in pictures:
                 book.picture(frame, its_set)
                 if frame.index == clicked + LATE:
-                    begun = click(book, things, truth, clicked, rng)
+                    begun = tracks.click(book, things, truth, clicked, rng)
                 for report in book.reports():
                     thing = begun[report.number]
                     compare(thing, report, truth, clicked, scores[thing.name])
@@ -144,19 +142,6 @@ def placed(way: Way, centre: Array, course_deg: float, seed: int) -> Thing:
     return Thing(way.name, replace(mover, start_m=(float(start[0]), float(start[1]))))
 
 
-def click(
-    book: TrackBook, things: Sequence[Thing], truth: Truth, clicked: int, rng: np.random.Generator
-) -> dict[int, Thing]:
-    """Click on all that can be seen, a pixel next to the middle; return those that are begun, by number."""
-    out: dict[int, Thing] = {}
-    for thing in things:
-        uv, seen = truth.project(clicked, ground_of(thing, truth, clicked)[None])
-        u, v = uv[0] + rng.normal(0.0, 1.0, 2)
-        if seen[0] and 25.0 < u < 615.0 and 25.0 < v < 455.0 and book.start(len(out) + 1, (u, v), clicked):
-            out[len(out) + 1] = thing
-    return out
-
-
 def compare(thing: Thing, report: TrackReport, truth: Truth, clicked: int, score: Score) -> None:
     """One report against the truth."""
     frame = report.frame
@@ -167,7 +152,7 @@ def compare(thing: Thing, report: TrackReport, truth: Truth, clicked: int, score
     if report.state is TrackState.LOST:
         return
     off_px = float(np.hypot(*(uv[0] - (report.u_px, report.v_px))))
-    is_off = off_px > max(8.0, 0.6 * thing.mover.length_m / M_PX)
+    is_off = off_px > tracks.most_off_px(thing.mover)
     score.off.append(is_off)
     if report.place is not None:
         origin = truth.origin
@@ -179,7 +164,7 @@ def compare(thing: Thing, report: TrackReport, truth: Truth, clicked: int, score
         return
     score.speed.append(abs(c.speed_m_s - speed))
     if c.course_deg is not None and c.sigma_course_deg is not None and speed > UNDER_WAY_M_S:
-        error = (c.course_deg - float(np.degrees(np.arctan2(true[0], true[1]))) + 180.0) % 360.0 - 180.0
+        error = tracks.turned_deg(c.course_deg, float(np.degrees(np.arctan2(true[0], true[1]))))
         score.course.append(abs(error))
         score.sigmas.append(abs(error) / c.sigma_course_deg)
 

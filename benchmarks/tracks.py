@@ -44,6 +44,7 @@ from simulation.truth import Truth
 Array = NDArray[np.float64]
 
 RATE_HZ, SECONDS, HEIGHT_M = 10.0, 17.0, 120.0
+M_PX = 0.137  # on the ground below
 CLICKED, LATE = 30, 10  # pictures: when is clicked, and how much later the track begins
 RECORDING = Path(__file__).resolve().parents[1] / "tests" / "data" / "plane_turn"
 RECORDED_AMSL_M = 350.0
@@ -114,7 +115,7 @@ def measure(spec: SessionSpec, things: Sequence[Thing], config_of: Callable[[Con
                 scores.step_ms.append(join_ms(book))
                 scores.ms.append((spent_ms - scores.step_ms[-1]) / max(len(book.numbers), 1))
             if frame.index >= CLICKED + LATE and not begun:
-                begun = click(book, things, truth)
+                begun = click(book, things, truth, CLICKED, np.random.default_rng(len(things)))
                 said = {number: {} for number in begun}
             for report in book.reports():
                 said[report.number][frame.index] = report
@@ -138,14 +139,15 @@ def join_ms(book: TrackBook) -> float:
     return 1e3 * (time.thread_time() - began_s)
 
 
-def click(book: TrackBook, things: Sequence[Thing], truth: Truth) -> dict[int, Thing]:
-    """Click in picture CLICKED on all that can be seen, a pixel next to the middle; those that are begun, by number."""
-    rng = np.random.default_rng(len(things))
+def click(
+    book: TrackBook, things: Sequence[Thing], truth: Truth, clicked: int, rng: np.random.Generator
+) -> dict[int, Thing]:
+    """Click in a picture on all that can be seen, a pixel off the middle; return those that are begun, by number."""
     out: dict[int, Thing] = {}
     for thing in things:
-        uv, seen = truth.project(CLICKED, ground_of(thing, truth, CLICKED)[None])
+        uv, seen = truth.project(clicked, ground_of(thing, truth, clicked)[None])
         u, v = uv[0] + rng.normal(0.0, 1.0, 2)
-        if seen[0] and 25.0 < u < 615.0 and 25.0 < v < 455.0 and book.start(len(out) + 1, (u, v), CLICKED):
+        if seen[0] and 25.0 < u < 615.0 and 25.0 < v < 455.0 and book.start(len(out) + 1, (u, v), clicked):
             out[len(out) + 1] = thing
     return out
 
@@ -172,7 +174,7 @@ def score(thing: Thing, said: dict[int, TrackReport], truth: Truth, scores: Scor
     report = said[last]
     if not seen[0]:
         return
-    is_kept = bool(np.hypot(*(uv[0] - (report.u_px, report.v_px))) < max(8.0, 0.6 * mover.length_m / 0.137))
+    is_kept = bool(np.hypot(*(uv[0] - (report.u_px, report.v_px))) < most_off_px(mover))
     scores.kept.append((thing.name, is_kept))
     if last - CLICKED < SETTLED_S * RATE_HZ:
         return
@@ -185,8 +187,18 @@ def score(thing: Thing, said: dict[int, TrackReport], truth: Truth, scores: Scor
             scores.course.append((kind, 180.0))
             continue
         scores.speed.append((kind, c.speed_m_s - speed))
-        scores.course.append((kind, (c.course_deg - course + 180.0) % 360.0 - 180.0))
+        scores.course.append((kind, turned_deg(c.course_deg, course)))
         scores.sigmas.append(((c.speed_m_s - speed) / c.sigma_speed_m_s) ** 2)
+
+
+def most_off_px(mover: MoverSpec) -> float:
+    """The distance from its middle within which a thing counts as followed: 0.6 of its length, 8 px at least."""
+    return max(8.0, 0.6 * mover.length_m / M_PX)
+
+
+def turned_deg(course_deg: float, true_deg: float) -> float:
+    """The error of a course, -180 to 180."""
+    return (course_deg - true_deg + 180.0) % 360.0 - 180.0
 
 
 def score_places(
