@@ -77,7 +77,7 @@ def inquire(
         which = f"{FRAME_PARAMETER}={frame}" if frame is not None else f"{TIME_PARAMETER}={unix_s!r}"
         parts, timeout_s = [which, f"{WAIT_PARAMETER}={PICTURE_TIMEOUT_S:g}"], PICTURE_TIMEOUT_S
     if pixel is not None:
-        parts += [f"{key}={float(value)!r}" for key, value in zip(PIXEL_PARAMETERS, pixel, strict=True)]
+        parts += _pixel_parameters(pixel)
     parameters = "?" + ";".join(parts) if parts else ""
     key = FEATURES.key(vehicle)
     dropped = dropped or DroppedMessages()
@@ -112,6 +112,10 @@ def put_question(session: Any, selector: str, timeout_s: float = ANSWER_TIMEOUT_
         **options,
     )
     return replies
+
+
+def _pixel_parameters(uv_px: tuple[float, float]) -> list[str]:
+    return [f"{key}={float(value)!r}" for key, value in zip(PIXEL_PARAMETERS, uv_px, strict=True)]
 
 
 def several_aircraft(endpoint: str, there: Sequence[str]) -> LinkError:
@@ -304,8 +308,7 @@ class SetCache:
 
     def ask_measured(self, vehicle: str, frame: int, uv_px: tuple[float, float]) -> FeatureSet | None:
         """The aircraft's set of a picture with a pixel of it measured, or why it is not; as `ask_at`, as long."""
-        pixel = [f"{key}={float(value)!r}" for key, value in zip(PIXEL_PARAMETERS, uv_px, strict=True)]
-        return self._ask(vehicle, ";".join([f"{FRAME_PARAMETER}={frame}", *pixel]))
+        return self._ask(vehicle, ";".join([f"{FRAME_PARAMETER}={frame}", *_pixel_parameters(uv_px)]))
 
     def _ask(self, vehicle: str, parameters: str) -> FeatureSet | None:
         with self._lock:

@@ -23,6 +23,7 @@ from onboard.telemetry.row_events import (
     LIMITS,
     MAX_UNIX_S,
     MIN_UNIX_S,
+    NO_FIX,
     SIGMA_GEOID_M,
     SIGMA_PRESSURE_HEIGHT_M,
     Row,
@@ -108,7 +109,7 @@ class Dialect:
             value = _number(cells[index], mark) * factor
             if abs(value) <= LIMITS.get(name, math.inf):
                 row[name] = value
-        if "lat_deg" not in row or "lon_deg" not in row or (row["lat_deg"], row["lon_deg"]) == (0.0, 0.0):
+        if "lat_deg" not in row or "lon_deg" not in row or (row["lat_deg"], row["lon_deg"]) == NO_FIX:
             row.pop("lat_deg", None)  # a receiver without a fix is written as 0, 0
             row.pop("lon_deg", None)
         if any(name in row for name in GIMBAL):

@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 
 from onboard.telemetry.mp4_container import Track
-from onboard.telemetry.nmea_source import MAX_DILUTION, RANGE_SIGMA_M
-from onboard.telemetry.row_events import ABOVE_ELLIPSOID, LIMITS, Row, Rows
+from onboard.telemetry.nmea_source import dilution_sigmas_m
+from onboard.telemetry.row_events import ABOVE_ELLIPSOID, LIMITS, NO_FIX, SIGMAS, Row, Rows
 from onboard.telemetry.telemetry_log import NS_PER_S
 
 KIND = "gpmd"
@@ -28,7 +28,7 @@ SCALES = {"l": "i", "L": "I", "s": "h", "S": "H"}
 
 @dataclass
 class _Stream:
-    """What a stream of positions holds in one sample of the track."""
+    """The content of a stream of positions in one sample of the track."""
 
     scales: list[float] = field(default_factory=list)
     five: list[tuple[float, ...]] = field(default_factory=list)
@@ -150,10 +150,10 @@ def _row(values: Sequence[float], stream: _Stream, dilution: float | None) -> Ro
         return None
     lat_deg, lon_deg, height_m = (value / scale for value, scale in zip(values[:3], scales[:3], strict=True))
     row = {"lat_deg": lat_deg, "lon_deg": lon_deg, stream.height: height_m}
-    if (lat_deg, lon_deg) == (0.0, 0.0) or any(abs(value) > LIMITS[name] for name, value in row.items()):
+    if (lat_deg, lon_deg) == NO_FIX or any(abs(value) > LIMITS[name] for name, value in row.items()):
         return None
-    if dilution is not None and 0.0 < dilution <= MAX_DILUTION:
-        row |= {"sigma_horizontal_m": RANGE_SIGMA_M * dilution, "sigma_vertical_m": 2.0 * RANGE_SIGMA_M * dilution}
+    if (sigmas_m := dilution_sigmas_m(dilution)) is not None:
+        row |= dict(zip(SIGMAS[:2], sigmas_m, strict=True))
     return row
 
 

@@ -14,13 +14,14 @@ from xml.parsers import expat
 from contract.errors import InputError
 from onboard.telemetry.civil_time import moment_ns
 from onboard.telemetry.flight_tables import NO_ZONE
-from onboard.telemetry.nmea_source import MAX_DILUTION, RANGE_SIGMA_M
+from onboard.telemetry.nmea_source import dilution_sigmas_m
 from onboard.telemetry.read_options import ReadOptions
 from onboard.telemetry.row_events import (
     LIMITS,
     NO_FIX,
     SIGMA_GEOID_M,
     SIGMA_UNSPECIFIED_M,
+    SIGMAS,
     Row,
     Rows,
     log_of_rows,
@@ -125,9 +126,8 @@ class _Track:
                 self._time = self._text
             elif name in NUMBERS and math.isfinite(value := _number(self._text)):
                 self._row[NUMBERS[name]] = value
-            elif name == "hdop" and 0.0 < (value := _number(self._text)) <= MAX_DILUTION:
-                sigma_m = RANGE_SIGMA_M * value
-                self._row |= {"sigma_horizontal_m": sigma_m, "sigma_vertical_m": 2.0 * sigma_m}
+            elif name == "hdop" and (sigmas_m := dilution_sigmas_m(_number(self._text))) is not None:
+                self._row |= dict(zip(SIGMAS[:2], sigmas_m, strict=True))
             elif name == "fix" and self._text.strip() in ("none", "2d"):
                 self._row.pop("lat_deg", None)  # of two dimensions: its height is none
 

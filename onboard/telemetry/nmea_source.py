@@ -209,9 +209,13 @@ def _sigmas(gga: Any, gst: Any) -> tuple[float | None, float | None]:
         north, east, up = (_number(gst, name) for name in ("stdLat", "stdLong", "stdAlt"))
         if north and east:
             return math.sqrt((north**2 + east**2) / 2.0), up or None
-    dilution = _number(gga, "HDOP") if gga is not None else None
-    if not dilution or dilution > MAX_DILUTION:
-        return None, None
+    return dilution_sigmas_m(_number(gga, "HDOP") if gga is not None else None) or (None, None)
+
+
+def dilution_sigmas_m(dilution: float | None) -> tuple[float, float] | None:
+    """One sigma, horizontal (of one axis) and vertical, by the horizontal dilution of precision; None without one."""
+    if dilution is None or not 0.0 < dilution <= MAX_DILUTION:
+        return None
     return RANGE_SIGMA_M * dilution, 2.0 * RANGE_SIGMA_M * dilution
 
 

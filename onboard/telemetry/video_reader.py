@@ -15,9 +15,8 @@ from onboard.telemetry.srt_reader import log_of_subtitles
 from onboard.telemetry.telemetry_log import NS_PER_S, TelemetryLog
 
 SUBTITLES = ("tx3g", "text")
-SIGMA_BEGAN_S = (
-    0.5  # of when a video began, by the times of the receiver in it: they come late, by how much is not known
-)
+# Of when a video began, by the times of the receiver in it: they come late, by how much is not known.
+SIGMA_BEGAN_S = 0.5
 GPX = "make a GPX of it (exiftool -ee -p gpx.fmt) and give that"
 # Kinds of tracks that are not read: by four characters and, of a general kind, what describes it; what to do.
 OTHERS = (
