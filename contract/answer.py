@@ -174,7 +174,7 @@ class Fix:
 
     @property
     def method_text(self) -> str:
-        """How it was found, for people: the height above the ground of what was measured, or why it was not."""
+        """The method for people: with the height above the ground of what was measured, or why it was not."""
         if self.unmeasured:
             return f"{self.method} (not measured: {self.unmeasured})"
         if self.above_ground_m is None:

@@ -1,4 +1,4 @@
-"""Why a clicked pixel was not measured by itself, for people."""
+"""The reasons for which a clicked pixel was not measured by itself, for people."""
 
 from __future__ import annotations
 

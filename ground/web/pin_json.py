@@ -76,7 +76,7 @@ def _click(click: PinClick) -> dict[str, Any]:
 
 
 def method_json(click: PinClick) -> dict[str, Any]:
-    """How a click was answered: how high above the ground, if it was measured by itself, or why it was not."""
+    """A click's method: with the height above the ground, if it was measured by itself, or why it was not."""
     return {
         "method": click.method,
         "above_ground_m": click.above_ground_m,

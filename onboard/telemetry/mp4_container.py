@@ -176,7 +176,7 @@ def _sizes(table: bytes) -> NDArray[np.int64]:
 
 
 def _places(sizes: NDArray[np.int64], chunks: NDArray[np.int64], table: bytes) -> NDArray[np.int64]:
-    """Where each sample begins (8.7.4): runs of chunks that have as many samples, one after the other in each."""
+    """The place of each sample (8.7.4): runs of chunks that have as many samples, one after the other in each."""
     (count,) = struct.unpack_from(">I", table, 4)
     runs = np.frombuffer(table, ">u4", 3 * count, 8).astype(np.int64).reshape(-1, 3)
     apart = np.diff(np.append(runs[:, 0], len(chunks) + 1))

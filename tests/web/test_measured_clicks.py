@@ -47,7 +47,7 @@ SPOT = (320.0, 200.0)
 
 
 def with_pixel(s: FeatureSet, uv: tuple[float, float], measured: Measured) -> FeatureSet:
-    """What an aircraft answers."""
+    """The answer of an aircraft."""
     if measured is not Measured.MEASURED:
         return replace(s, clicked=ClickedPixel(*uv, measured))
     x, y, _ = s.camera.unproject(np.array(uv))[0]

@@ -318,7 +318,7 @@ def airdata() -> bytes:
 
 
 def dji_record() -> bytes:
-    """As Flight Reader writes it where commas are decimal: a line for spreadsheets, local times of twelve hours."""
+    """The record as Flight Reader writes it where commas are decimal: a line for spreadsheets, times of 12 hours."""
     rows = ["sep=;", "CUSTOM.date [local];CUSTOM.updateTime [local];OSD.flyTime;OSD.latitude;OSD.longitude;"
             "OSD.height [m];OSD.altitude [m];OSD.pitch;OSD.roll;OSD.yaw [360];OSD.gpsNum;GIMBAL.pitch;GIMBAL.roll;"
             "GIMBAL.yaw"]  # fmt: skip
@@ -355,7 +355,7 @@ def gpx() -> bytes:
 
 
 def ass() -> bytes:
-    """As Autel writes it; the third number of GPS is no height."""
+    """The subtitles as Autel writes them; the third number of GPS is no height."""
     rows = ["[Script Info]", "ScriptType: v4.00+", "", "[Events]",
             "Format: Layer, Start, End, Style, Name, MarginL, MarginR, MarginV, Effect, Text"]  # fmt: skip
     for m in moments(10):
@@ -456,7 +456,7 @@ def gpmf(key: bytes, kind: bytes, size: int, content: bytes) -> bytes:
 
 
 def gopro_seconds() -> tuple[list[bytes], list[float]]:
-    """As a Hero 13 writes them: ten positions a second, each with its time; and when each second begins."""
+    """The samples as a Hero 13 writes them: ten positions a second, each with its time; and when each second begins."""
     samples, starts_s, every = [], [], list(moments(10))
     for second in (every[k : k + 10] for k in range(0, len(every), 10)):
         nine = b"".join(

@@ -204,7 +204,7 @@ def test_a_log_that_pauses_claims_nothing_meanwhile(tmp_path: Path, kind: str, m
 
 @ALL
 def test_zeros_in_a_log_cost_only_themselves(tmp_path: Path, kind: str) -> None:
-    """As a card has them that was pulled out."""
+    """The zeros of a card that was pulled out."""
     data = bytearray(WRITERS[kind]())
     at = 2 * len(data) // 3
     data[at : at + 200] = bytes(200)

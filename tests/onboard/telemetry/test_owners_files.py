@@ -83,7 +83,7 @@ def test_the_dates_of_one_table_have_one_order_of_day_and_month(tmp_path: Path) 
     ],
 )
 def test_times_that_were_cut_off_are_no_times(tmp_path: Path, head: str, line: str) -> None:
-    """As a spreadsheet shows and then writes them, or RTKLIB without decimals."""
+    """The times that a spreadsheet shows and then writes, or RTKLIB without decimals."""
     with pytest.raises(InputError, match=r"of its 100 positions have the time of another: its times were cut off"):
         read_text(tmp_path, f"{head}\n{rows_of(line)}")
 

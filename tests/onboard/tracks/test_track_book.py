@@ -132,7 +132,7 @@ def test_a_parked_car_that_drives_off_is_followed_or_lost_and_never_left_standin
 
 @pytest.mark.parametrize("brakes_m_s2", rest_long([4.0, 3.0, 5.0]))
 def test_a_car_that_brakes_to_a_stop_is_followed_in_its_middle(brakes_m_s2: float) -> None:
-    """What changes of it is then its front: its box ran ahead of it by half of its length, and it was lost."""
+    """Its front alone changes the ground then: its box ran ahead of it by half of its length, and it was lost."""
 
     def place(t: float) -> tuple[float, float]:
         braking = min(max(t - 3.0, 0.0), 8.0 / brakes_m_s2)
