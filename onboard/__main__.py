@@ -78,6 +78,7 @@ def parser() -> argparse.ArgumentParser:
         commands.add_parser("setup", help="a configuration for this aircraft: found out, or asked for, and checked")
     )
 
+    _add_camera(commands.add_parser("camera", help="read a camera file, also another tool's calibration"))
     _add_calibrate(commands.add_parser("calibrate", help="make a camera file from pictures of a board"))
 
     _add_checks(commands)
@@ -141,7 +142,7 @@ def _add_replay(commands: Commands) -> None:
         metavar="S",
         help="Unix time at the autopilot's boot, for a .ulg without UTC; 0: the pictures' stamps count from it too",
     )
-    replay.add_argument("--camera", type=Path, metavar="CAMERA.json", help="intrinsics and distortion")
+    replay.add_argument("--camera", type=Path, metavar="CAMERA.json", help="camera file, ours or another tool's")
     replay.add_argument(
         "--stamps",
         type=Path,
@@ -319,6 +320,21 @@ def _add_bench(bench: argparse.ArgumentParser) -> None:
 def run_bench(arguments: argparse.Namespace) -> int:
     """Measure; 1 if the configured camera is more than this computer can do."""
     from onboard.commands.bench import run  # noqa: PLC0415
+
+    return run(arguments)
+
+
+def _add_camera(camera: argparse.ArgumentParser) -> None:
+    camera.add_argument("file", type=Path, metavar="FILE", help="the file; its format is found out")
+    camera.add_argument("--out", type=Path, metavar="CAMERA.json", help="write it as a camera file of ours")
+    camera.add_argument("--size", type=pair, metavar="WxH", help="picture size, for a file that states none")
+    camera.add_argument("--which", metavar="NAME", help="one of a file's several cameras")
+    camera.set_defaults(run=run_camera)
+
+
+def run_camera(arguments: argparse.Namespace) -> int:
+    """Read a camera file and print what is in it."""
+    from onboard.commands.camera import run  # noqa: PLC0415
 
     return run(arguments)
 

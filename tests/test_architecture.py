@@ -30,7 +30,8 @@ ARROWS: dict[str, set[str]] = {
     "ground.commands": {"ground", "ground.pins", "ground.formats", "ground.seen", "ground.spots"},
     "ground.web": {"ground", "ground.pins", "ground.formats", "ground.seen", "ground.spots"},
     "onboard.events": set(),
-    "onboard.config": set(),
+    "onboard.camera_files": {"calibration"},
+    "onboard.config": {"camera_files"},
     "onboard.clocks": set(),
     "onboard.camera": {"events", "config", "clocks"},
     "onboard.telemetry": {"events", "config", "clocks"},
@@ -52,8 +53,8 @@ ARROWS: dict[str, set[str]] = {
     "onboard.service": {"pipeline", "tracks", "measured", "spots", "storage", "events", "config"},
     "onboard.calibration": set(),
     "onboard.commands": {
-        "calibration", "camera", "config", "events", "foreign_clock", "link", "pipeline", "replay", "service",
-        "storage", "telemetry",
+        "calibration", "camera", "camera_files", "config", "events", "foreign_clock", "link", "pipeline", "replay",
+        "service", "storage", "telemetry",
     },
     "onboard": {"commands", "config", "link"},  # __main__: arguments and exit codes
     "simulation": set(),

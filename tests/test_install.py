@@ -33,6 +33,7 @@ from tests import postgres
 from tests.installed import ROOT, built, declared, extras, laid_over, needed
 from tests.left_out import NO_PROGRAM
 from tests.locked import lines, versions
+from tests.onboard.camera_files.writers import KALIBR
 from tests.onboard.link.ports import free_udp_port
 from tests.rest_long import rest_long
 
@@ -250,6 +251,8 @@ def use_onboard(environment: Path, folder: Path) -> None:
     assert "BEGIN CERTIFICATE" in (keys / "uav1" / "certificate.pem").read_text()
     run_well(environment, "pc-onboard", "calibrate", "--print-board", folder / "board.pdf")
     assert (folder / "board.pdf").read_bytes().startswith(b"%PDF")
+    (folder / "camchain.yaml").write_text(KALIBR)
+    assert "fx 3100.00" in run_well(environment, "pc-onboard", "camera", folder / "camchain.yaml")
     (folder / "config.toml").write_text("[mount]\npitch_deg = -45.0\n")
     assert "good" in run_well(environment, "pc-onboard", "check-config", "--config", folder / "config.toml")
     for url in ("udpin:127.0.0.1:14999", "nmea:/dev/ttyUSB0:9600", "mavsdk:udpin://127.0.0.1:14998"):

@@ -4,5 +4,5 @@ Public:
 
 - `board`: `Board`, `Grey`
 - `intrinsics`: `Fit`, `PARAMETERS`, `View`, `calibrate`
-- `verdict`: `Verdict`, `bare_places`, `coverage_picture`, `judge`, `report`
+- `verdict`: `RAY_SIGMA_SHARE`, `Verdict`, `bare_places`, `coverage_picture`, `judge`, `report`
 """

@@ -4,6 +4,7 @@ Public:
 
 - `bench`: `run`
 - `calibrate`: `run`
+- `camera`: `run`
 - `cameras`: `run`
 - `check_config`: `run`
 - `doctor`

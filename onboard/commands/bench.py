@@ -20,6 +20,7 @@ import cv2
 
 from contract.camera import Camera
 from contract.errors import InputError
+from onboard.camera_files.formats import load_camera_file
 from onboard.commands.replay import recorded_flight
 from onboard.commands.status import configuration
 from onboard.config.schema import Config
@@ -101,7 +102,7 @@ def _flight(arguments: argparse.Namespace) -> tuple[Config, Camera, Iterable[tup
 
 def named_camera(path: Path) -> Camera:
     """The optics in a camera file. Raises InputError."""
-    return Camera.from_json(path)
+    return load_camera_file(path)
 
 
 def report(load: Load, config: Config, camera: Camera, wanted_hz: float, watch: Watch) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from pathlib import Path
 from contract.camera import Camera
 from contract.errors import ConfigError, InputError
 from onboard.camera.photo_metadata import Focal
+from onboard.camera_files.formats import read_camera_file
 from onboard.commands.flight_folder import next_to
 from onboard.config.schema import Config, parse_config, to_toml, validated
 from onboard.events.types import Attitude, GimbalAttitude
@@ -166,13 +167,15 @@ def optics_of(size_px: tuple[int, int], focal: Focal | None, near: Path, setting
 
 
 def _of_file(path: Path, size_px: tuple[int, int]) -> Optics:
-    camera = Camera.from_json(path)
+    read = read_camera_file(path)
+    camera = read.camera
     if camera.size_px != size_px:
         raise InputError(
             f"camera file {path} is for {camera.width_px} x {camera.height_px}, the pictures are {size_px[0]} x "
             f"{size_px[1]}: give another with --set {CAMERA_FILE}=FILE, or a field of view with --set {FOV}=DEGREES"
         )
-    return Optics(camera, path.read_text(encoding="utf-8"), f"{path}: {_width_text(camera)}")
+    text = path.read_text(encoding="utf-8") if read.form is None else camera.to_json()
+    return Optics(camera, text, f"{path}: {_width_text(camera)}")
 
 
 def _given(size_px: tuple[int, int], value: str) -> Focal:

@@ -26,6 +26,7 @@ from contract.wire.spot_code import encode_spots
 from contract.wire.track_code import encode_track
 from onboard.camera.picture_files import open_frames
 from onboard.camera.picture_mask import read_mask
+from onboard.camera_files.formats import load_camera_file
 from onboard.commands.imported_flight import settings_of, with_settings
 from onboard.config.files import load_config_files, load_second_camera
 from onboard.config.recorded import recorded_toml
@@ -125,7 +126,7 @@ def _open_files(arguments: argparse.Namespace) -> _Inputs:
     if arguments.set:
         config = with_settings(config, settings_of(arguments.set))
         config_text = recorded_toml(config)
-    camera = Camera.from_json(arguments.camera)
+    camera = load_camera_file(arguments.camera)
     if arguments.record is not None:
         _check_place(arguments.record)
     flight = Flight.open(
@@ -160,7 +161,7 @@ def _open_recording(arguments: argparse.Namespace) -> _Inputs:
     if arguments.set:
         config = with_settings(config, settings_of(arguments.set))
         config_text = recorded_toml(config)
-    camera = recorded.camera if arguments.camera is None else Camera.from_json(arguments.camera)
+    camera = recorded.camera if arguments.camera is None else load_camera_file(arguments.camera)
     return _Inputs(config, config_text, camera, recorded.state_json, recorded, recorded)
 
 

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from contract.camera import Camera
 from contract.errors import ConfigError, InputError
 from contract.rotations import log_so3, mount_rotation
 from contract.secrets import without_secrets
@@ -24,6 +23,7 @@ from onboard.camera.helper_launch import libcamera_names
 from onboard.camera.known_lenses import GIVEN_SIGMA, Lens, first_camera_file, known_lens, named_lens
 from onboard.camera.pixel_formats import DECODERS
 from onboard.camera.v4l2_device import V4l2Device
+from onboard.camera_files.formats import load_camera_file
 from onboard.commands import doctor
 from onboard.commands.calibrate import write
 from onboard.commands.cameras import stable_name
@@ -216,7 +216,7 @@ def _camera_file(
 ) -> tuple[Path, str | None]:
     """Return the path of the camera file, and its text if it is to be written."""
     if arguments.camera_file is not None:
-        Camera.from_json(arguments.camera_file)
+        load_camera_file(arguments.camera_file)
         return arguments.camera_file.resolve(), None
     size_px, lens = _size(arguments, terminal, camera), _lens(arguments, terminal, camera)
     left.append(

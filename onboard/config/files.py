@@ -7,6 +7,7 @@ from typing import Any
 
 from contract.camera import Camera
 from contract.errors import ConfigError
+from onboard.camera_files.formats import load_camera_file
 from onboard.config.schema import Config, load_table
 
 FOLDER = "config.d"
@@ -50,7 +51,7 @@ def load_camera(config: Config) -> Camera:
     """The optics that `camera.file` names. Raises ConfigError if it names none, InputError for one that is no good."""
     if config.camera.file is None:
         raise ConfigError("camera.file is not set: name a camera file, as `pc-onboard calibrate` writes it")
-    return Camera.from_json(Path(config.camera.file))
+    return load_camera_file(config.camera.file)
 
 
 def load_second_camera(config: Config) -> Camera:
@@ -65,4 +66,4 @@ def load_second_camera(config: Config) -> Camera:
             "camera.thermal is a second camera next to one that sees light, and thermal.enabled states that the first "
             "is a thermal one: leave one of them out"
         )
-    return Camera.from_json(Path(second.file))
+    return load_camera_file(second.file)
