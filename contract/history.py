@@ -8,6 +8,7 @@ from typing import Generic, TypeVar
 
 from contract.feature_set import FeatureSet, Status
 from contract.topics import TIME_TOLERANCE_S
+from contract.wire.codec import Identity
 
 T = TypeVar("T")
 
@@ -57,7 +58,7 @@ class History(Generic[T]):
         """The highest number of a session that ran; -1 before the first."""
         return self._highest
 
-    def add(self, feature_set: FeatureSet, item: T, *, runs: bool | None = None) -> None:
+    def add(self, feature_set: FeatureSet | Identity, item: T, *, runs: bool | None = None) -> None:
         """Keep a set; a revision older than the one held is dropped.
 
         `runs`: whether its session is the one that runs from now on, if it is not already; without it, if its number

@@ -159,6 +159,27 @@ def _replies(
     return answers
 
 
+def ask_measured(
+    session: Any, vehicle: str, frame: int, uv_px: tuple[float, float], dropped: DroppedMessages
+) -> FeatureSet | None:
+    """A vehicle's set of a picture with a pixel of it measured, or why it is not; None if it has none.
+
+    Raises LinkError if it does not answer, WireError for a set this version cannot read.
+    """
+    parameters = ";".join([f"{FRAME_PARAMETER}={frame}", *_pixel_parameters(uv_px)])
+    return _asked_set(session, vehicle, parameters, dropped)
+
+
+def _asked_set(session: Any, vehicle: str, parameters: str, dropped: DroppedMessages) -> FeatureSet | None:
+    try:
+        reply = _replies(session, vehicle, f"?{parameters}", dropped).get(vehicle)
+    except zenoh.ZError as error:
+        raise LinkError(f"cannot ask {vehicle!r}: {error}") from error
+    if reply is None:
+        raise LinkError(f"aircraft {vehicle!r} does not answer")
+    return reply.answer if isinstance(reply.answer, FeatureSet) else None
+
+
 def running_session(session: Any, vehicle: str) -> int | None:
     """The number of a vehicle's session that runs now, as it answers itself; None without an answer or a set."""
     try:
@@ -304,26 +325,20 @@ class SetCache:
 
         Raises LinkError if it does not answer, WireError for a set this version cannot read.
         """
-        return self._ask(vehicle, f"{TIME_PARAMETER}={unix_s!r}")
+        return _asked_set(self._asked_over(), vehicle, f"{TIME_PARAMETER}={unix_s!r}", self.dropped)
 
     def ask_measured(self, vehicle: str, frame: int, uv_px: tuple[float, float]) -> FeatureSet | None:
         """The aircraft's set of a picture with a pixel of it measured, or why it is not; as `ask_at`, as long."""
-        return self._ask(vehicle, ";".join([f"{FRAME_PARAMETER}={frame}", *_pixel_parameters(uv_px)]))
+        return ask_measured(self._asked_over(), vehicle, frame, uv_px, self.dropped)
 
-    def _ask(self, vehicle: str, parameters: str) -> FeatureSet | None:
+    def _asked_over(self) -> Any:
         with self._lock:
             session = self._session
         if session is None:
             raise LinkError(f"the link to {self._ways[0]} is down")
         if isinstance(session, MavlinkSets):
             raise LinkError("single pictures cannot be asked for through the autopilot's radio")
-        try:
-            reply = _replies(session, vehicle, f"?{parameters}", self.dropped).get(vehicle)
-        except zenoh.ZError as error:
-            raise LinkError(f"cannot ask {vehicle!r}: {error}") from error
-        if reply is None:
-            raise LinkError(f"aircraft {vehicle!r} does not answer")
-        return reply.answer if isinstance(reply.answer, FeatureSet) else None
+        return session
 
     @property
     def link_error(self) -> str:

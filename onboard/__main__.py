@@ -16,11 +16,11 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import TypeAlias
 
-from contract.errors import InputError, PointclickError
+from contract.errors import PointclickError
+from contract.topics import DEFAULT_ENDPOINT
 from onboard.argument_parser import (
     Parser,
     Version,
@@ -87,6 +87,13 @@ def parser() -> argparse.ArgumentParser:
     )
 
     _add_bench(commands.add_parser("bench", help="what this computer can do: pictures a second, stages, temperature"))
+
+    serve = commands.add_parser("serve", help="answer questions about a recorded flight, clicked pixels measured")
+    serve.add_argument("session", type=Path, metavar="SESSION.mcap", help="a recording with pictures, or its folder")
+    serve.add_argument(
+        "--listen", default=DEFAULT_ENDPOINT, metavar="ENDPOINT", help=f"zenoh endpoint ({DEFAULT_ENDPOINT})"
+    )
+    serve.set_defaults(run=run_serve)
 
     run = commands.add_parser("run", help="fly: the daemon, as the service starts it")
     run.add_argument("--config", type=Path, default=CONFIG, metavar="FILE", help=f"configuration ({CONFIG})")
@@ -414,27 +421,9 @@ def _add_make_credentials(credentials: argparse.ArgumentParser) -> None:
 
 def run_make_credentials(arguments: argparse.Namespace) -> int:
     """Issue certificates and print where they are."""
-    from contract.fleet import FLEET_FILE, Fleet, read_fleet  # noqa: PLC0415
-    from onboard.link.certificates import AUTHORITY, make_credentials  # noqa: PLC0415
+    from onboard.commands.make_credentials import run  # noqa: PLC0415
 
-    vehicles, people = arguments.vehicle, [*arguments.operator, *arguments.viewer]
-    routers = [] if arguments.router is None else [arguments.router]
-    if not vehicles and not people and not routers:
-        raise InputError("whom for? name at least one --vehicle, --operator, --viewer or --router")
-    place = arguments.folder / FLEET_FILE
-    listed = read_fleet(place) if place.exists() else Fleet()
-    operators = tuple(arguments.operator)
-    listed = replace(listed, router=arguments.router or listed.router).with_more(
-        aircraft=tuple(vehicles), operators=operators, viewers=tuple(arguments.viewer), pins=operators
-    )
-    for folder in make_credentials(
-        arguments.folder, vehicles, people, arguments.address, arguments.days, routers=routers
-    ):
-        print(folder)
-    listed.write(place)
-    print(f"{arguments.folder / AUTHORITY} (signs new ones: keep it off the aircraft and away from others)")
-    print(f"{place} (who may do what: for pc-ground router --config)")
-    return 0
+    return run(arguments)
 
 
 def _add_importing(command: argparse.ArgumentParser) -> None:
@@ -513,6 +502,14 @@ def run_status(arguments: argparse.Namespace) -> int:
     from onboard.commands import status  # noqa: PLC0415
 
     return status.run(arguments)
+
+
+def run_serve(arguments: argparse.Namespace) -> int:
+    """Answer questions about a recording until a signal ends it."""
+    from onboard.commands.serve import run  # noqa: PLC0415
+
+    with _interrupt_sets(threading.Event()) as stop:
+        return run(arguments, stop)
 
 
 def run_replay(arguments: argparse.Namespace) -> int:

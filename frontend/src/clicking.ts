@@ -49,7 +49,7 @@ export class Clicking {
     try {
       const reply = await api.place(body);
       this.showPlace(reply);
-      if (reply.status !== "ok" || this.state.server?.is_live !== true) return;
+      if (reply.status !== "ok" || this.state.server?.measures !== true) return;
       const measured = await api.place({ ...body, measured: true });
       if (look === this.looked) this.showPlace(measured);
     } catch (error) {
@@ -111,7 +111,7 @@ export class Clicking {
     const answered = this.answered, pin = answered === null ? undefined : this.state.pins.get(answered.pin);
     const click = pin?.clicks.find((one) => one.id === answered?.click), line = this.answer.querySelector("span");
     if (answered === null || pin === undefined || click === undefined || line === null) return;
-    const isOpen = this.state.server?.is_live === true && click.method !== "measured" && click.unmeasured === "";
+    const isOpen = this.state.server?.measures === true && click.method !== "measured" && click.unmeasured === "";
     const [words, meaning] = methodWords(click);
     setText(line, answerText(pin, `${words}${isOpen ? ", being measured ..." : ""}`, answered.ageS));
     this.answer.title = `${WITHIN_TITLE}; ${meaning}`;

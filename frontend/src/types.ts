@@ -68,7 +68,7 @@ export interface Tiles {
   min_zoom: number; max_zoom: number; bounds: [number, number, number, number] | null;
 }
 
-export interface ServerStatus { role: "operator" | "viewer"; source: string; is_live: boolean; damage: string[]; sharing: string; tiles: Tiles | null; vehicles: VehicleState[] }
+export interface ServerStatus { role: "operator" | "viewer"; source: string; is_live: boolean; measures: boolean; damage: string[]; sharing: string; tiles: Tiles | null; vehicles: VehicleState[] }
 
 export interface ClickAnswer {
   status: string; advice: string; reason?: string; age_s: number | null; method?: string;

@@ -121,7 +121,7 @@ def add(context: Context, body: NewPin, background: BackgroundTasks) -> Response
         [made], name=body.name, note=body.note, category=body.category, who=body.who, crop=context.crop_of(made)
     )
     context.changed(pin.id)
-    if clicked is not None and context.source.is_live:
+    if clicked is not None and context.source.measures:
         background.add_task(context.measure, pin.id, clicked, made)
     return _reply(context, pin, answer)
 
@@ -154,7 +154,7 @@ def add_click(context: Context, pin_id: str, body: MoreClick, background: Backgr
         return _json(json.dumps({"pin": None, "answer": answer, "apart_m": apart_m, "reason": reason}), 409)
     pin = context.store.add_click(pin_id, made, who=body.who, crop=context.crop_of(made))
     context.changed(pin.id)
-    if made is first and context.source.is_live:
+    if made is first and context.source.measures:
         background.add_task(context.measure, pin.id, clicked, made)
     return _reply(context, pin, answer)
 

@@ -117,6 +117,7 @@ def status(context: Context, request: Request) -> dict[str, Any]:
         "role": request.state.role,
         "source": context.source.name,
         "is_live": context.source.is_live,
+        "measures": context.source.measures,
         "damage": context.source.damage()[:20],
         "no_pictures": context.source.no_pictures(),
         "sharing": context.sharing_words(),

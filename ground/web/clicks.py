@@ -52,10 +52,10 @@ class Clicker:
     def measured(self, clicked: Clicked, u_px: float, v_px: float) -> Clicked:
         """The answer once the aircraft has measured the pixel; where it has not, the first one with the reason.
 
-        Takes as long as `Source.measured`. What no aircraft could be asked about comes back as it is.
+        Takes as long as `Source.measured`. What no one can be asked about comes back as it is.
         """
         first, found = clicked.answer, clicked.feature_set
-        if not self._source.is_live or found is None or not isinstance(first, Fix):
+        if not self._source.measures or found is None or not isinstance(first, Fix):
             return clicked
         if not self._asking.acquire(blocking=False):
             return replace(clicked, answer=replace(first, unmeasured=TOO_MANY))

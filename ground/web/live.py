@@ -68,6 +68,7 @@ class LiveSource:
     """
 
     is_live = True
+    measures = True
 
     def __init__(self, endpoints: Sequence[str], tls: Tls | None = None, journal: Path | None = None) -> None:
         self.name = ", ".join(endpoints)

@@ -23,6 +23,7 @@ from typing import Any
 
 from contract.errors import InputError
 from contract.tied_process import tied
+from ground.onboard_program import pc_onboard, unused_port
 from ground.pins.file import default_path
 from ground.web import command as web
 from ground.web import opened_page
@@ -73,9 +74,9 @@ def run(args: argparse.Namespace) -> int:
     if not args.camera_file.is_file():
         raise InputError(f"{args.camera_file}: no such file; pc-onboard calibrate makes one (docs/calibrate.md)")
     folder = args.state or default_path().parent / "live"
-    port = _unused_port()
+    port = unused_port()
     config = _write_config(args, folder, port)
-    program = opened_page.pc_onboard()
+    program = pc_onboard()
     _check(program, config)
     signal.signal(signal.SIGTERM, _interrupt)  # so that what follows is ended in order
     with _onboard(program, config, folder / "onboard.log", port) as onboard:
@@ -188,9 +189,3 @@ def _last_line(log: Path) -> str:
     """The last line that the aircraft's program printed, without its log prefix."""
     lines = [line for line in log.read_text(encoding="utf-8", errors="replace").splitlines() if line.strip()]
     return LOG_PREFIX.sub("", lines[-1]) if lines else f"nothing in its log, {log}"
-
-
-def _unused_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])

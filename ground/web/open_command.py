@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from contract.errors import InputError
+from ground.onboard_program import pc_onboard
 from ground.pins.file import default_path
 from ground.web import command as web
 from ground.web import opened_page
@@ -116,7 +117,7 @@ def _replayed(args: argparse.Namespace) -> tuple[int, Path]:
     if args.out is None:
         shutil.rmtree(folder, ignore_errors=True)  # of an attempt that was broken off
         folder.parent.mkdir(parents=True, exist_ok=True)
-    program = opened_page.pc_onboard()
+    program = pc_onboard()
     made = _output([program, *importing, "--out", str(folder)])
     if made.returncode != DONE:
         return made.returncode, session

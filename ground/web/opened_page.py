@@ -1,16 +1,11 @@
-"""Parts that `pc-ground open` and `live` share: `pc-onboard` as a program of its own, and a page that opens."""
+"""Part that `pc-ground open` and `live` share: a page that opens."""
 
 from __future__ import annotations
 
 import argparse
-import os
-import shutil
 import socket
-import sys
 from collections.abc import Sequence
-from pathlib import Path
 
-from contract.errors import InputError
 from ground.web import command as web
 
 
@@ -42,12 +37,3 @@ def _free_port(asked: int | None) -> int:
         except OSError:
             return 0
     return web.PORT
-
-
-def pc_onboard() -> str:
-    """The program of this installation, else of the path. Raises InputError if it is nowhere."""
-    neighbour = Path(sys.executable).with_name("pc-onboard")
-    found = str(neighbour) if os.access(neighbour, os.X_OK) else shutil.which("pc-onboard")
-    if found is None:
-        raise InputError("pc-onboard is not installed here: install pointclick with [open] or [live]")
-    return found

@@ -6,30 +6,38 @@ import threading
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from contract.errors import InputError, LinkError
 from contract.feature_set import FeatureSet
+from contract.recorded_pictures import PictureIndex
 from contract.track import TrackRequest
 from contract.vehicle_status import VehicleStatus
 from contract.wire.message import STATUSES
 from ground.recorded_link_pictures import RecordedLinkPictures
 from ground.recording import Recording
-from ground.web.recorded_pictures import RecordedPictures
+from ground.web.recorded_pictures import picture_of
 from ground.web.source import FrameRow, Picture, VehicleReport, Views
 
+if TYPE_CHECKING:
+    from ground.recording_server import RecordingServer
+
 KEPT_SETS = 256
+UNMEASURED = "a recording: its clicks are answered between measured points"
 
 
 class RecordedSource:
-    """Raises InputError for what is no recording."""
+    """Raises InputError for what is no recording. `measure_by` has its clicks measured."""
 
     is_live = False
+    measures = False
 
     def __init__(self, path: Path) -> None:
         self.name = str(path)
         self._recording = Recording(path)
-        self._pictures = RecordedPictures(path)
+        self._pictures = PictureIndex(path)
         self._link_pictures = RecordedLinkPictures(path)  # of `pc-ground record`
+        self._server: RecordingServer | None = None
         self._lock = threading.Lock()  # the recording's maps are read by many requests at once
         self._unreadable: list[str] = []
         self._sessions = {vehicle: self._session_of(vehicle) for vehicle in self._recording.vehicles}
@@ -68,8 +76,8 @@ class RecordedSource:
         """The picture as recorded on board, or else as it crossed the link."""
         if vehicle not in self._sessions or (session is not None and session != self._sessions[vehicle]):
             return None
-        found = self._pictures.picture(vehicle, frame)
-        if found is not None:
+        message = self._pictures.message(vehicle, frame)
+        if message is not None and (found := picture_of(message)) is not None:
             return found
         came = self._link_pictures.picture(vehicle, self._sessions[vehicle], frame)
         return None if came is None else Picture(came.content, came.media_type)
@@ -91,9 +99,15 @@ class RecordedSource:
             vehicle, self._sessions[vehicle], newest[0], 0.0, None, None, None, self._statuses[vehicle]
         )
 
+    def measure_by(self, server: RecordingServer) -> None:
+        """Have clicked pixels measured by a server of this recording, which ends with this source."""
+        self._server, self.measures = server, True
+
     def measured(self, feature_set: FeatureSet, uv_px: tuple[float, float]) -> FeatureSet:
-        """Raises LinkError, always."""
-        raise LinkError("a recording: its clicks are answered between measured points")
+        """Measured in the recording's pictures."""
+        if self._server is None:
+            raise LinkError(UNMEASURED)
+        return self._server.measured(feature_set, uv_px)
 
     def unfollowed(self, vehicle: str) -> str:
         """Nothing can be followed in a recording; what was followed in flight is there."""
@@ -119,8 +133,14 @@ class RecordedSource:
             "or open the video or the photographs: pc-ground open FILE"
         )
 
+    def has_own_pictures(self) -> bool:
+        """Return whether it holds pictures as the pipeline had them: clicked pixels can be measured in these."""
+        return any(self._pictures.has_any(vehicle) for vehicle in self.vehicles())
+
     def close(self) -> None:
-        """The files are closed with the object."""
+        """End what measures; the files are closed with the object."""
+        if self._server is not None:
+            self._server.close()
 
     def _session_of(self, vehicle: str) -> int:
         """All sets of a recording are of one session."""

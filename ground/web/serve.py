@@ -6,6 +6,7 @@ import argparse
 import contextlib
 import socket
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import quote
 
@@ -78,6 +79,7 @@ def _source(args: argparse.Namespace, tls: Tls | None) -> Source:
         source = RecordedSource(args.recording)
         for line in source.damage():
             print(f"pc-ground: warning: {line}", file=sys.stderr)
+        _have_measured(source, args.recording)
         if args.video is not None:
             return _with_recorded_video(source, args)
         if source.no_pictures():
@@ -90,6 +92,18 @@ def _source(args: argparse.Namespace, tls: Tls | None) -> Source:
     journal = None if args.no_journal else args.journal or pins.with_suffix(".link")
     live = LiveSource(args.connect or [default], tls, journal)
     return live if args.video is None else _with_live_video(live, args)
+
+
+def _have_measured(source: RecordedSource, recording: Path) -> None:
+    """Start what measures clicked pixels in a recording's pictures, if there are any and it is installed."""
+    if not source.has_own_pictures():
+        return
+    from ground.recording_server import RecordingServer  # noqa: PLC0415  zenoh is loaded only where there is a link
+
+    try:
+        source.measure_by(RecordingServer(recording))
+    except InputError as error:
+        print(f"pc-ground: warning: clicks are answered between measured points: {error}", file=sys.stderr)
 
 
 def _with_recorded_video(source: Source, args: argparse.Namespace) -> Source:

@@ -81,6 +81,7 @@ class Source(Protocol):
     """Thread-safe. Vehicles are named as on the link."""
 
     is_live: bool
+    measures: bool  # it may be asked to measure a pixel
     name: str  # for people: endpoints, or the recording's path
     views: Views  # of all vehicles' reports
 
@@ -110,7 +111,7 @@ class Source(Protocol):
         """The state of a vehicle."""
 
     def measured(self, feature_set: FeatureSet, uv_px: tuple[float, float]) -> FeatureSet:
-        """Ask the aircraft to measure a pixel of a picture by itself; the set with what became of it.
+        """Ask the aircraft, or who holds the recording, to measure a pixel by itself; the set with what became of it.
 
         Takes ANSWER_TIMEOUT_S at most. Raises LinkError with the reason, in words, if it is not asked or does not
         answer; WireError for what cannot be read.

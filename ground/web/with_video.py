@@ -38,6 +38,7 @@ class WithVideo:
         self._inner = inner
         self._footage = footage
         self.is_live = inner.is_live
+        self.measures = inner.measures
         self.name = inner.name
         self.views = inner.views
 

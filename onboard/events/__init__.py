@@ -2,7 +2,7 @@
 
 Public:
 
-- `kept_pictures`: `LEAST`, `RECENT_NS`, `Kept`, `KeptPictures`
+- `kept_pictures`: `KEPT_BYTES`, `LEAST`, `RECENT_NS`, `Grey`, `Kept`, `KeptPictures`, `Pictured`
 - `session_clock`: `SessionClock`
 - `sink`: `Sink`
 - `source`: `Emit`, `Severity`, `Source`, `SourceStatus`, `State`, `Stop`, `TelemetrySource`

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,16 @@ KEPT_BYTES = 48_000_000
 RECENT_NS = 6_000_000_000  # every picture is kept for so long, if there is room
 KEYFRAMES_SHARE = 0.25  # of the bytes, that keyframes older than that have at least
 LEAST = 2  # pictures, however large
+
+
+class Pictured(Protocol):
+    """A picture (H, W), None where it cannot be read after all, and its newest set."""
+
+    @property
+    def image(self) -> Grey | None: ...
+
+    @property
+    def its_set(self) -> FeatureSet: ...
 
 
 @dataclass(frozen=True, eq=False)

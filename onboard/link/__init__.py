@@ -6,6 +6,6 @@ Public:
 - `byte_budget`: `left_for_pictures`
 - `certificates`: `AUTHORITY`, `make_credentials`
 - `picture_sender`: `PictureSender`
-- `publisher`: `Publisher`
+- `publisher`: `Publisher`, `Rate`
 - `status_query`: `ask`
 """

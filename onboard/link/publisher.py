@@ -43,6 +43,7 @@ from contract.topics import (
     Topic,
 )
 from contract.track import refused
+from contract.wire.codec import peek
 from contract.wire.picture_code import cut
 from onboard.config.schema import Config
 from onboard.events.types import Event, Frame
@@ -236,6 +237,12 @@ class Publisher:
         for watch in self.watches:
             watch(offer)
         return packet
+
+    def recall(self, payload: bytes) -> None:
+        """Keep an encoded set of a recording for queries, without sending it. Raises WireError for what is none."""
+        identity = peek(payload)
+        with self._changed:
+            self._history.add(identity, payload, runs=True)
 
     def publish_status(self, payload: bytes, detail: bytes) -> None:
         """Send an encoded status in its turn; it answers queries until the next, `detail` those that ask for more."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from contract.feature_set import ClickedPixel, FeatureSet, Measured
 from contract.locate import Locator
-from onboard.events.kept_pictures import Kept
+from onboard.events.kept_pictures import KEPT_BYTES, Grey, Pictured
 from onboard.measured.matching import Match
 from onboard.measured.measuring import Sought, measure
 from onboard.measured.patches import Patch
@@ -25,7 +25,7 @@ MOST_VIEWS = 8
 BASELINES = (0.06, 0.12, 0.2, 0.3)
 LEAST_BASELINE, MOST_BASELINE = 0.02, 0.45
 MOST_TURN_COS = 0.8  # of the viewing directions
-KEPT_VIEWS = 32  # of the last clicked pictures
+KEPT_VIEWS = 32  # of the last clicked pictures; fewer of pictures so large that they take more than the ring does
 # Where a surface may be, as a share of the height above the ground: what stands on it, and a pit.
 ABOVE_SHARE, BELOW_SHARE = 0.25, 0.06
 SIGMAS = 4.0  # of the ground between the features, at least
@@ -41,7 +41,7 @@ class Questions:
         self._session = -1
 
     def measured_set(
-        self, asked: FeatureSet, uv_px: tuple[float, float], clicked: Kept | None, others: Sequence[Kept]
+        self, asked: FeatureSet, uv_px: tuple[float, float], clicked: Pictured | None, others: Sequence[Pictured]
     ) -> FeatureSet:
         """The set as it was asked for, and what became of the pixel. `clicked`: its picture, if that is kept; `others`:
         those that it may be looked for in.
@@ -53,11 +53,14 @@ class Questions:
         pixel = ClickedPixel(u, v, Measured.MEASURED, found.inverse_depth_per_m, found.sigma_per_m)
         return replace(asked, clicked=pixel)
 
-    def _measure(self, asked: FeatureSet, uv_px: Array, kept: Kept | None, others: Sequence[Kept]) -> Match | Measured:
+    def _measure(
+        self, asked: FeatureSet, uv_px: Array, kept: Pictured | None, others: Sequence[Pictured]
+    ) -> Match | Measured:
         if asked.session != self._session:
             self._views.clear()
             self._session = asked.session
-        if kept is None:
+        image = None if kept is None else kept.image
+        if image is None:
             return Measured.NO_PICTURE
         if asked.shutter is not None:
             return Measured.ROLLING
@@ -65,34 +68,40 @@ class Questions:
         if held is None or identity(held.feature_set) != identity(asked):
             held = self._locator = Locator(asked)
         ray, valid = asked.camera.unproject(uv_px)
-        patch = Patch.at(kept.image, asked.camera, uv_px) if valid else None
+        patch = Patch.at(image, asked.camera, uv_px) if valid else None
         if patch is None:
             return Measured.BORDER
         sought, ground_w, ground_sigma = where(held, ray[:2])
         if sought is None:
             return Measured.HIDDEN
         features = Features.of(asked)
-        found = measure(patch, self._seen_by(asked, kept, others, ray, ground_w, features), features, sought)
+        found = measure(patch, self._seen_by(asked, image, others, ray, ground_w, features), features, sought)
         if isinstance(found, Match) and found.inverse_depth_per_m < ground_w * (1.0 - UNDER_SIGMAS * ground_sigma):
             return Measured.MOVES
         return found
 
     def _seen_by(
-        self, asked: FeatureSet, kept: Kept, others: Sequence[Kept], ray: Array, w: float, features: Features
+        self, asked: FeatureSet, image: Grey, others: Sequence[Pictured], ray: Array, w: float, features: Features
     ) -> list[View]:
         mine = identity(asked)
         out = []
         for other in chosen(asked, others, ray, w):
             key = mine, identity(other.its_set)
             if key not in self._views:
-                start = relative_pose(asked, other.its_set)
-                self._views[key] = view_of(kept.image, features, other.image, other.its_set, start)
-                while len(self._views) > KEPT_VIEWS:
+                self._views[key] = _view(asked, image, other, features)
+                while len(self._views) > max(min(KEPT_VIEWS, KEPT_BYTES // image.nbytes), MOST_VIEWS):
                     self._views.popitem(last=False)
             self._views.move_to_end(key)
             if (view := self._views[key]) is not None:
                 out.append(view)
         return out
+
+
+def _view(asked: FeatureSet, image: Grey, other: Pictured, features: Features) -> View | None:
+    there = other.image
+    if there is None or there.shape != image.shape:
+        return None
+    return view_of(image, features, there, other.its_set, relative_pose(asked, other.its_set))
 
 
 def identity(of: FeatureSet) -> tuple[int, int]:
@@ -115,10 +124,10 @@ def where(locator: Locator, xy: Array) -> tuple[Sought | None, float, float]:
     return Sought(max(far, 0.3 * w), near, s.plane_per_m[1:] / plane), w, sigma
 
 
-def chosen(asked: FeatureSet, others: Sequence[Kept], ray: Array, w: float) -> list[Kept]:
+def chosen(asked: FeatureSet, others: Sequence[Pictured], ray: Array, w: float) -> list[Pictured]:
     """Return at most MOST_VIEWS pictures that show a ray's ground from elsewhere, spread over BASELINES, both sides."""
-    size = asked.camera.height_px, asked.camera.width_px
-    comparable = [other for other in others if other.its_set.shutter is None and other.image.shape == size]
+    size = asked.camera.size_px
+    comparable = [o for o in others if o.its_set.shutter is None and o.its_set.camera.size_px == size]
     if not comparable:
         return []
     poses = [relative_pose(asked, other.its_set) for other in comparable]
@@ -134,7 +143,7 @@ def chosen(asked: FeatureSet, others: Sequence[Kept], ray: Array, w: float) -> l
         if comparable[i].its_set.camera.contains(pixels(comparable[i].its_set.camera, seen[None, i])[0])
     ]
     usable = [(share[i] if float(across[i] @ across[rows[0]]) > 0.0 else -share[i], comparable[i]) for i in rows]
-    out: dict[int, Kept] = {}
+    out: dict[int, Pictured] = {}
     for target in (sign * share for share in BASELINES for sign in (1.0, -1.0)):
         left = [(abs(share - target), i) for i, (share, _) in enumerate(usable) if i not in out]
         if left and len(out) < MOST_VIEWS:

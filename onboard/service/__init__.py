@@ -5,7 +5,7 @@ Public:
 - `daemon`: `Daemon`, `SignalOrders`
 - `host`: `cpu_temperature_c`, `free_mb`
 - `journal`
-- `measure_thread`: `MeasureThread`
+- `measure_thread`: `MeasureThread`, `QuestionThread`
 - `prometheus`: `PrometheusServer`
 - `readable`: `Reader`
 - `reports`: `Brightness`, `Report`, `gps_report`

@@ -1,4 +1,4 @@
-"""The thread that measures clicked pixels, next to the pipeline, in the pictures that it keeps.
+"""The thread that measures clicked pixels: in the pictures that it keeps next to the pipeline, or in a recording's.
 
 The pipeline's thread only hands references over, and a question only joins a short queue: however many are asked, and
 however long they take, the flight's own sets do not wait.
@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Protocol
 
 from contract.feature_set import FeatureSet
 from contract.supervised_thread import SupervisedThread, WokenWork
 from contract.wire.codec import decode
 from onboard.config.schema import Config
-from onboard.events.kept_pictures import KeptPictures
+from onboard.events.kept_pictures import KeptPictures, Pictured
 from onboard.events.types import Event
 from onboard.events.waiting_pictures import WaitingPictures
 from onboard.measured.question import Questions
@@ -22,7 +23,7 @@ from onboard.measured.question import Questions
 MAX_HELD = 64  # pictures that wait for their set
 MAX_ASKED = 8  # questions that wait for this thread
 LATE_ANSWER_S = 0.4  # after which a question is answered by what was there before: the ground waits 0.5 s more
-REST = 1.0  # of the time that it worked, in which it leaves the processor to others
+REST = 1.0  # of the time that it worked, next to a pipeline
 MOST_REST_S = 0.1
 IDLE_S = 0.5
 
@@ -30,34 +31,27 @@ IDLE_S = 0.5
 Done = Callable[[FeatureSet | None], object]
 
 
-class MeasureThread(WokenWork):
-    """A sink of the daemon. `monotonic_s` is a clock, `pictures` a ring that is shared."""
+class Looked(Protocol):
+    """Pictures that are looked back in."""
+
+    def placed(self, session: int, frame: int) -> tuple[Pictured | None, Sequence[Pictured]]:
+        """A picture whose set answers clicks, None if it is not there; and others that may show the same ground."""
+
+
+class QuestionThread(WokenWork):
+    """Measures clicked pixels in `pictures`, one at a time. `monotonic_s` is a clock, `rest` how much of the time that
+    it worked it leaves the processor to others.
+    """
 
     def __init__(
-        self,
-        config: Config,
-        monotonic_s: Callable[[], float] = time.monotonic,
-        *,
-        pictures: KeptPictures | None = None,
+        self, pictures: Looked, monotonic_s: Callable[[], float] = time.monotonic, *, rest: float = REST
     ) -> None:
         super().__init__("measured clicks")
+        self._rest = rest
         self._monotonic_s = monotonic_s
-        self._pictures = KeptPictures(round(config.tracks.keep_mb * 1e6)) if pictures is None else pictures
+        self._looked = pictures
         self._questions = Questions()
-        self._held = WaitingPictures(MAX_HELD)  # touched by the pipeline's thread alone
         self._asked: deque[tuple[bytes, tuple[float, float], Done, float]] = deque()
-
-    def event(self, arrival_ns: int, event: Event) -> None:
-        """Keep a picture until its set comes."""
-        self._held.event(event)
-
-    def feature_set(self, output: FeatureSet) -> None:
-        """A picture's set, the first or a later one."""
-        frame = self._held.take(output.frame)
-        if frame is not None and frame.image is not None:
-            self._pictures.add(frame.image, output, frame.stamp_ns)
-        else:
-            self._pictures.revise(output)
 
     def measure(self, payload: bytes, uv_px: tuple[float, float], done: Done) -> bool:
         """Measure a pixel of the set of a payload; `done` is called in this thread. False if too much is asked: then it
@@ -77,7 +71,7 @@ class MeasureThread(WokenWork):
             with self._changed:
                 if not self._asked:
                     self._changed.wait(IDLE_S)
-            thread.wait(min(REST * self.work(), MOST_REST_S))
+            thread.wait(min(self._rest * self.work(), MOST_REST_S))
 
     def work(self) -> float:
         """Answer one question, if one waits. Returns the processor's time, s."""
@@ -98,5 +92,32 @@ class MeasureThread(WokenWork):
         asked = decode(payload)
         if not (asked.is_ok and asked.camera.contains(uv_px)):
             return None
-        clicked, others = self._pictures.placed(asked.session, asked.frame)
+        clicked, others = self._looked.placed(asked.session, asked.frame)
         return self._questions.measured_set(asked, uv_px, clicked, others)
+
+
+class MeasureThread(QuestionThread):
+    """A sink of the daemon, which keeps the pictures. `pictures`: a ring that is shared."""
+
+    def __init__(
+        self,
+        config: Config,
+        monotonic_s: Callable[[], float] = time.monotonic,
+        *,
+        pictures: KeptPictures | None = None,
+    ) -> None:
+        self._pictures = KeptPictures(round(config.tracks.keep_mb * 1e6)) if pictures is None else pictures
+        super().__init__(self._pictures, monotonic_s)
+        self._held = WaitingPictures(MAX_HELD)  # touched by the pipeline's thread alone
+
+    def event(self, arrival_ns: int, event: Event) -> None:
+        """Keep a picture until its set comes."""
+        self._held.event(event)
+
+    def feature_set(self, output: FeatureSet) -> None:
+        """A picture's set, the first or a later one."""
+        frame = self._held.take(output.frame)
+        if frame is not None and frame.image is not None:
+            self._pictures.add(frame.image, output, frame.stamp_ns)
+        else:
+            self._pictures.revise(output)

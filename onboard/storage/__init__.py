@@ -6,6 +6,7 @@ Public:
 - `elevation_files`: `TerrainFiles`
 - `mcap_reader`: `RecordedFlight`
 - `mcap_writer`: `SessionRecorder`
+- `recorded_pictures`: `RecordedPictures`
 - `rotating_recorder`: `Recorded`, `software_version`
 - `session_number`: `next_session`
 """

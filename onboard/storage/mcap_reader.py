@@ -216,10 +216,10 @@ class _Frames:
             if self.is_damaged:
                 return None  # its picture was in a stretch that cannot be read
             raise InputError(f"frame {frame.index} without its picture")
-        image = _decoded(self._picture[1], self._camera).astype(np.uint8, copy=False)
+        image = decoded_picture(self._picture[1], self._camera).astype(np.uint8, copy=False)
         counts = None
         if counted == "png" and self._counts is not None and self._counts[0] == frame.stamp_ns:
-            counts = _decoded(self._counts[1], self._camera, True).astype(np.uint16, copy=False)
+            counts = decoded_picture(self._counts[1], self._camera, True).astype(np.uint16, copy=False)
         return replace(frame, image=image, counts=counts)
 
 
@@ -324,7 +324,7 @@ def _records(path: Path) -> Iterator[Found]:
         raise InputError(f"recording {path}: {error.strerror}") from error
 
 
-def _decoded(message: bytes, camera: Camera, is_deep: bool = False) -> NDArray[np.generic]:
+def decoded_picture(message: bytes, camera: Camera, is_deep: bool = False) -> NDArray[np.generic]:
     """The picture of a `foxglove.CompressedImage` (H, W), grey or, if asked for, as deep as it is.
 
     Of the camera's size: a damaged one may claim any other. Pillow decodes it: OpenCV takes seconds over some damaged

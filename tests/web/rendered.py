@@ -70,6 +70,7 @@ class FlyingSource:
     """
 
     is_live = True
+    measures = True
     name = "a drawn flight"
 
     def __init__(self, aircraft: int = 1) -> None:

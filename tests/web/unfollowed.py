@@ -12,6 +12,8 @@ from ground.web.source import Views
 class Unfollowed:
     """A part of `Source`. Paths and spots are every such source's: nothing is put into them."""
 
+    measures = False
+
     views = Views()
 
     def measured(self, feature_set: FeatureSet, uv_px: tuple[float, float]) -> FeatureSet:
