@@ -3,12 +3,22 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import dataclass
+from enum import Enum
 
 from contract.answer import CONFIDENCE, EXPLANATIONS, Place, rounded, time_utc
 from contract.feature_set import Status
 
 MOST_SPOTS = 6  # that a packet holds, with room for outlines
+
+
+class ThingKind(Enum):
+    """What a net takes a spot for; the wire has its place in this list, which grows at its end only."""
+
+    PERSON = "person"
+    VEHICLE = "vehicle"
+    OTHER = "other"
 
 
 @dataclass(frozen=True)
@@ -20,6 +30,7 @@ class Spot:
     None where the camera is not calibrated: both too small for a spot smaller than a pixel. Without a place `status`
     states why, in the words of a refused click, and there is neither area nor outline. `outline_en_m` is a polygon,
     east and north of the place, m; empty: not sent. `is_cut`: the picture's edge cuts it, and there is more of it.
+    `kind` is what a net takes it for (None: it is only hot), `log_odds` (ln) how likely that is by all looks at it.
     """
 
     u_px: float
@@ -33,6 +44,13 @@ class Spot:
     sigma_area_m2: float = 0.0
     outline_en_m: tuple[tuple[float, float], ...] = ()
     is_cut: bool = False
+    kind: ThingKind | None = None
+    log_odds: float = 0.0
+
+    @property
+    def probability(self) -> float | None:
+        """The probability that it is of that `kind`; None for a spot that is only hot."""
+        return None if self.kind is None else 1.0 / (1.0 + math.exp(-self.log_odds))
 
     def to_dict(self) -> dict[str, object]:
         """Return the JSON object; figures of the place only if it is known."""
@@ -40,6 +58,7 @@ class Spot:
             "u": round(self.u_px, 2), "v": round(self.v_px, 2), "contrast": round(self.contrast, 2),
             "temperature_c": rounded(self.temperature_c), "above_ground_k": rounded(self.above_ground_k),
             "is_cut": self.is_cut, "status": self.status.value,
+            "kind": None if self.kind is None else self.kind.value, "probability": rounded(self.probability),
         }  # fmt: skip
         if self.place is not None:
             content |= self.place.to_dict()
@@ -52,9 +71,9 @@ class Spot:
     def to_text(self) -> str:
         """One line for people."""
         p = self.place
-        how = ""
+        how = likely_text(self.kind, self.probability)
         if self.temperature_c is not None and self.above_ground_k is not None:
-            how = f"{self.temperature_c:.1f} degC, {self.above_ground_k:+.1f} K, "
+            how += f"{self.temperature_c:.1f} degC, {self.above_ground_k:+.1f} K, "
         how += f"{abs(self.contrast):.1f} sigmas {'colder' if self.contrast < 0.0 else 'hotter'} than its ground"
         if p is None:
             return f"{how}  {self.status.value}: {EXPLANATIONS[self.status]}"
@@ -63,6 +82,17 @@ class Spot:
             f"{how}  {e.rounded(p.lat_deg, p.lon_deg)}  {CONFIDENCE:.0%} ellipse {e.semi_major_m:.1f} x "
             f"{e.semi_minor_m:.1f} m at {e.azimuth_deg:.0f} deg  {self.area_m2:.2g} +-{self.sigma_area_m2:.1g} m2"
         )
+
+
+def likely_text(kind: ThingKind | None, probability: float | None) -> str:
+    """What a net takes a spot for, and how likely that is: for people, to go before its heat; empty if it is only hot.
+
+    Never "100 %": no more than 99.
+    """
+    if kind is None or probability is None:
+        return ""
+    word = {ThingKind.OTHER: "another thing"}.get(kind, f"a {kind.value}")
+    return f"{word}, {min(max(round(100.0 * probability), 1), 99)} % likely, "
 
 
 @dataclass(frozen=True)

@@ -9,29 +9,31 @@ from dataclasses import replace
 from contract.answer import Ellipse, Place
 from contract.errors import CorruptPayload, NewerPayload, TruncatedPayload
 from contract.feature_set import Status
-from contract.spot import MOST_SPOTS, Spot, SpotReport
+from contract.spot import MOST_SPOTS, Spot, SpotReport, ThingKind
 from contract.wire.byte_cursor import ByteCursor
 from contract.wire.outlines import fitted
 from contract.wire.small_packet import HEIGHT_STEP_M, first_byte, heights_of
 
 MAJOR, MAX_SPOT_BYTES = 1, 200
 KIND = MAJOR << 4 | 1
-IS_CALIBRATED, HAS_PLACES, HAS_ELLIPSOID, HAS_AMSL = 1, 2, 4, 8
+IS_CALIBRATED, HAS_PLACES, HAS_ELLIPSOID, HAS_AMSL, HAS_KINDS = 1, 2, 4, 8, 16
 IS_COLD, IS_CUT, STATUS_MASK = 0x40, 0x80, 0x3F
 DEGREE, TIME_STEP_NS, PIXEL_STEP, SHARE_STEP = 1e-9, 10_000, 1.0 / 8.0, 1.0 / 255.0
 TEMPERATURE_STEP_C, ANGLE_STEP_DEG = 0.05, 180.0 / 256.0
 OFFSET_STEP_DEG, SPOT_HEIGHT_STEP_M, OUTLINE_STEP_M = 1e-7, 0.1, 0.01
+LOG_ODDS_STEP = 1.0 / 8.0
 AREA_SHARE_STEP = 1.0 / 64.0  # of an area's sigma, as a share of the area
 # Lengths, contrasts, differences of temperature and areas in one byte: natural logarithm of a step, and what code 1 is.
 LENGTH, CONTRAST, KELVIN, AREA = (0.055, 0.01), (0.03, 0.5), (0.04, 0.05), (0.08, 0.01)
 MOST_EXPONENT = 31
-_STATUSES = tuple(Status)
+_STATUSES, _KINDS = tuple(Status), tuple(ThingKind)
 
 # kind, flags, session, frame, time, spots, more, shares of picture and session
 _HEAD = struct.Struct("<BBII6sBBBB")
 _REFERENCE = struct.Struct("<5s5si3sB")  # latitude, longitude, height, undulation, exponent of the offsets' step
 _SPOT = struct.Struct("<BHHB")  # status and flags, u, v, contrast
 _TEMPERATURE = struct.Struct("<hB")  # and how far from its ground's
+_KIND = struct.Struct("<Bb")  # 0: only hot, else 1 more than its place in ThingKind; log odds
 # latitude, longitude and height from the reference; axes, azimuth, sigma of the height, area, its sigma; points
 _PLACE = struct.Struct("<hhhBBBBBBB")
 
@@ -40,7 +42,8 @@ def encode_spots(report: SpotReport) -> bytes:
     """20 to 200 bytes: at most MOST_SPOTS spots, whose outlines share what is left. Raises ValueError."""
     r, kept = report, report.spots[:MOST_SPOTS]
     placed = [spot.place for spot in kept if spot.place is not None]
-    flags = r.is_calibrated * IS_CALIBRATED | bool(placed) * HAS_PLACES
+    has_kinds = any(spot.kind is not None for spot in kept)
+    flags = r.is_calibrated * IS_CALIBRATED | bool(placed) * HAS_PLACES | has_kinds * HAS_KINDS
     try:
         body = b""
         if placed:
@@ -55,7 +58,7 @@ def encode_spots(report: SpotReport) -> bytes:
             KIND, flags, r.session, r.frame, round(r.capture_unix_ns / TIME_STEP_NS).to_bytes(6, "little"), len(kept),
             more, *(round(min(max(share, 0.0), 1.0) / SHARE_STEP) for share in (r.picture_share, r.session_share)),
         )  # fmt: skip
-        parts = [_spot(spot, r.is_calibrated) for spot in kept]
+        parts = [_spot(spot, r.is_calibrated) + (_kind(spot) if has_kinds else b"") for spot in kept]
         size = len(head) + len(body) + sum(map(len, parts)) + _PLACE.size * len(placed)
         outlines = fitted([spot.outline_en_m if spot.place else () for spot in kept], MAX_SPOT_BYTES - size)
         for spot, part, outline in zip(kept, parts, outlines, strict=True):
@@ -74,7 +77,7 @@ def decode_spots(payload: bytes, vehicle: str = "") -> SpotReport:
     if len(payload) < _HEAD.size:
         raise TruncatedPayload(f"{len(payload)} bytes")
     _, flags, session, frame, time, count, more, *shares = _HEAD.unpack_from(payload)
-    if flags > 15 or count > MOST_SPOTS or len(payload) > MAX_SPOT_BYTES:
+    if flags > 31 or count > MOST_SPOTS or len(payload) > MAX_SPOT_BYTES:
         raise CorruptPayload(f"{count} spots with flags {flags:#x} in {len(payload)} bytes")
     cursor = ByteCursor(payload, _HEAD.size, len(payload))
     reference, step = _read_reference(cursor, flags) if flags & HAS_PLACES else (None, 0.0)
@@ -151,6 +154,23 @@ def _spot(spot: Spot, is_calibrated: bool) -> bytes:
     return out + _TEMPERATURE.pack(temperature, _code(abs(spot.above_ground_k), KELVIN))
 
 
+def _kind(spot: Spot) -> bytes:
+    if spot.kind is None:
+        return _KIND.pack(0, 0)
+    most = 127 * LOG_ODDS_STEP
+    return _KIND.pack(1 + _KINDS.index(spot.kind), round(min(max(spot.log_odds, -most), most) / LOG_ODDS_STEP))
+
+
+def _read_kind(cursor: ByteCursor) -> tuple[ThingKind | None, float]:
+    """Read what a net takes a spot for, and its log odds. Raises CorruptPayload and NewerPayload."""
+    number, steps = cursor.unpack(_KIND)
+    if number > len(_KINDS):
+        raise NewerPayload(f"a thing of kind {number}")
+    if (number == 0 and steps != 0) or steps == -128:
+        raise CorruptPayload(f"odds {steps} of a thing of kind {number}")
+    return (None if number == 0 else _KINDS[number - 1]), steps * LOG_ODDS_STEP
+
+
 def _place(spot: Spot, p: Place, reference: Place, step: float, points: int) -> bytes:
     e, height = p.ellipse, round((_known(p) - _known(reference)) / SPOT_HEIGHT_STEP_M)
     share = spot.sigma_area_m2 / spot.area_m2 / AREA_SHARE_STEP if spot.area_m2 > 0.0 else 0.0
@@ -180,9 +200,11 @@ def _read_spot(cursor: ByteCursor, flags: int, reference: Place | None, step: fl
     if flags & IS_CALIBRATED:
         temperature, above = cursor.unpack(_TEMPERATURE)
         temperature_c, above_k = temperature * TEMPERATURE_STEP_C, sign * _from_code(above, KELVIN)
+    kind, log_odds = _read_kind(cursor) if flags & HAS_KINDS else (None, 0.0)
     spot = Spot(
         u * PIXEL_STEP - 0.5, v * PIXEL_STEP - 0.5, sign * _from_code(contrast, CONTRAST),
         temperature_c, above_k, _STATUSES[status & STATUS_MASK], is_cut=bool(status & IS_CUT),
+        kind=kind, log_odds=log_odds,
     )  # fmt: skip
     if spot.status is not Status.OK:
         return spot

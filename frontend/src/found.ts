@@ -4,7 +4,7 @@ import { api } from "./api.js";
 import { byId, make, setText } from "./dom.js";
 import { within } from "./format.js";
 import { toPane, type View } from "./mapping.js";
-import { shortHeat } from "./map-tracks.js";
+import { shortFind } from "./map-tracks.js";
 import { placeIn } from "./projection.js";
 import type { State } from "./state.js";
 import type { FoundSpot, FrameView } from "./types.js";
@@ -34,7 +34,7 @@ export class SpotMarks {
       }
       const { x, y } = toPane(view, at);
       element.style.transform = `translate(${x.toFixed(1)}px, ${y.toFixed(1)}px)`;
-      setText(element.firstElementChild as HTMLElement, `${spot.spot} ${shortHeat(spot)}`);
+      setText(element.firstElementChild as HTMLElement, `${spot.spot} ${shortFind(spot)}`);
     }
     for (const [spot, element] of this.elements) if (!seen.has(spot)) { element.remove(); this.elements.delete(spot); }
   }
@@ -78,7 +78,8 @@ export class FoundList {
       this.fill(row, spot);
     });
     for (const [spot, row] of this.rows) if (!open.has(spot)) { row.remove(); this.rows.delete(spot); }
-    setText(this.count, `Hot spots ${spots.length}${spots[0] === undefined ? "" : `, the hottest ${shortHeat(spots[0])}`}`);
+    const first = spots[0], most = first === undefined ? "" : `, the ${first.kind === null ? "hottest" : "likeliest"} ${shortFind(first)}`;
+    setText(this.count, `Hot spots ${spots.length}${most}`);
     this.element.hidden = spots.length === 0;
     if (this.isBegun && news.length > 0) this.alarm(news);
     this.isBegun = true;
@@ -111,7 +112,8 @@ export class FoundList {
     const [crop, words] = [...row.children] as [HTMLImageElement, HTMLElement];
     const url = api.spotCropUrl(spot);
     if (crop.getAttribute("src") !== url) { crop.classList.remove("none"); crop.setAttribute("src", url); }
-    const above = spot.above_ground_k, hot = spot.temperature_c === null || above === null ? spot.heat : `${shortHeat(spot)} (${above >= 0 ? "+" : ""}${above.toFixed(1)} K)`;
+    const above = spot.above_ground_k, isHeat = spot.kind === null && spot.temperature_c !== null && above !== null;
+    const hot = isHeat ? `${shortFind(spot)} (${above >= 0 ? "+" : ""}${above.toFixed(1)} K)` : spot.heat;
     setText(words, `${spot.spot}  ${hot}, ${within(spot.ce90_m)}, ${spot.motion}, ${spot.pictures} pictures`);
   }
 }

@@ -52,13 +52,14 @@ export function spotFeatures(spots: readonly FoundSpot[]): TrackFeatures {
     const properties = { colour: SPOT_COLOUR, track: `spot ${spot.spot}` };
     areas.push({ type: "Feature", geometry: { type: "Polygon", coordinates: [ring] }, properties: { ...properties, kind: "ellipse" } });
     lines.push({ type: "Feature", geometry: { type: "LineString", coordinates: ring }, properties: { ...properties, kind: "edge" } });
-    labels.push({ type: "Feature", geometry: { type: "Point", coordinates: [spot.lon_deg, spot.lat_deg] }, properties: { ...properties, text: `♨ ${spot.spot} ${shortHeat(spot)}` } });
+    labels.push({ type: "Feature", geometry: { type: "Point", coordinates: [spot.lon_deg, spot.lat_deg] }, properties: { ...properties, text: `♨ ${spot.spot} ${shortFind(spot)}` } });
   }
   return { areas, lines, labels };
 }
 
-/** How hot, in few words. */
-export function shortHeat(spot: FoundSpot): string {
+/** What a net takes it for and how likely, else how hot: in few words. */
+export function shortFind(spot: FoundSpot): string {
+  if (spot.kind !== null && spot.probability !== null) return `${spot.kind} ${Math.min(Math.max(Math.round(100 * spot.probability), 1), 99)} %`;
   return spot.temperature_c === null ? `${spot.contrast.toFixed(0)} σ` : `${spot.temperature_c.toFixed(1)} °C`;
 }
 

@@ -133,7 +133,7 @@ export class State {
   /** Those that wait for a person: more than one picture shows them. The hottest first. */
   openSpots(): FoundSpot[] {
     return [...this.spots.values()].filter((spot) => spot.state === "open" && spot.is_sure)
-      .sort((a, b) => (b.temperature_c ?? -1e9) - (a.temperature_c ?? -1e9) || Math.abs(b.contrast) - Math.abs(a.contrast));
+      .sort((a, b) => (b.probability ?? -1) - (a.probability ?? -1) || (b.temperature_c ?? -1e9) - (a.temperature_c ?? -1e9) || Math.abs(b.contrast) - Math.abs(a.contrast));
   }
 
   /** What is followed, as it is now; of a recording or a picture that is kept, as it was then. */

@@ -106,7 +106,7 @@ export type ServerEvent =
 /** What a machine found; a person may have decided on it. */
 export interface FoundSpot {
   spot: number; state: "open" | "confirmed" | "dismissed"; pin: string | null; is_sure: boolean; pictures: number; vehicles: string[];
-  first_utc: string; last_utc: string; temperature_c: number | null; above_ground_k: number | null; contrast: number; heat: string; motion: string;
+  first_utc: string; last_utc: string; temperature_c: number | null; above_ground_k: number | null; contrast: number; kind: "person" | "vehicle" | "other" | null; probability: number | null; heat: string; motion: string;
   lat_deg: number; lon_deg: number; height_amsl_m: number | null; height_ellipsoid_m: number | null; ellipse: Ellipse; ce90_m: number;
   best: { vehicle: string; session: number; frame: number; u: number; v: number };
 }

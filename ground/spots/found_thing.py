@@ -6,6 +6,7 @@ import json
 from dataclasses import dataclass
 
 from contract.answer import CONFIDENCE, Place, rounded, time_utc
+from contract.spot import ThingKind, likely_text
 from contract.track import Course
 
 
@@ -26,7 +27,8 @@ class FoundThing:
     """`place` is the merged one, at the newest sighting where it moves. `course`: at rest without a course in it; None:
     too little is known to decide. `temperature_c` is the highest (of a cold thing the lowest) of any picture, None
     where no camera is calibrated; `contrast` likewise, in sigmas of its ground. `best` is the picture that shows it
-    best.
+    best. `kind` is what a net takes it for and `probability` how likely that is, by the session that is surest (looks
+    of several at one place resemble each other too much to be added up); None if it is only hot.
     """
 
     number: int
@@ -43,21 +45,26 @@ class FoundThing:
     sigma_area_m2: float
     best: SeenSpot
     newest: SeenSpot
+    kind: ThingKind | None = None
+    probability: float | None = None
     spots: tuple[SeenSpot, ...] = ()  # those that were the best once, the first and the newest: bounded
 
     @property
     def is_sure(self) -> bool:
-        """True if more than one picture shows it: noise that looks hot once is not there again."""
-        return self.pictures > 1
+        """True if more than one picture shows it, for noise that looks hot once is not there again; or if a net has
+        named it, for that is weighed against all looks on board.
+        """
+        return self.pictures > 1 or self.kind is not None
 
     @property
     def heat_text(self) -> str:
-        """The heat in words."""
+        """What it is taken for, and the heat, in words."""
         word = "colder" if self.contrast < 0.0 else "hotter"
+        likely = likely_text(self.kind, self.probability)
         sigmas = f"{abs(self.contrast):.1f} sigmas {word} than its ground"
         if self.temperature_c is None or self.above_ground_k is None:
-            return f"{sigmas} (uncalibrated)"
-        return f"{self.temperature_c:.1f} degC, {self.above_ground_k:+.1f} K, {sigmas}"
+            return f"{likely}{sigmas} (uncalibrated)"
+        return f"{likely}{self.temperature_c:.1f} degC, {self.above_ground_k:+.1f} K, {sigmas}"
 
     def to_dict(self) -> dict[str, object]:
         """Return the JSON object."""
@@ -66,7 +73,9 @@ class FoundThing:
             "spot": self.number, "pictures": self.pictures, "vehicles": list(self.vehicles),
             "first_utc": time_utc(self.first_unix_ns), "last_utc": time_utc(self.last_unix_ns),
             "temperature_c": rounded(self.temperature_c), "above_ground_k": rounded(self.above_ground_k),
-            "contrast": round(self.contrast, 2), **self.place.to_dict(),
+            "contrast": round(self.contrast, 2),
+            "kind": None if self.kind is None else self.kind.value, "probability": rounded(self.probability),
+            **self.place.to_dict(),
             "area_m2": rounded(self.area_m2), "sigma_area_m2": rounded(self.sigma_area_m2),
             "best": {
                 "vehicle": b.vehicle, "session": b.session, "frame": b.frame,

@@ -48,6 +48,7 @@ class _Thing:
     vehicles: set[str] = field(default_factory=set)
     temperature_c: float | None = None
     above_ground_k: float | None = None
+    likely: dict[Session, Spot] = field(default_factory=dict)  # the newest spot of each that a net has named
 
     @property
     def last(self) -> Session:
@@ -192,6 +193,7 @@ class SpotMerger:
         (east, north), covariance = t.merged()
         lat, lon, _ = (float(c) for c in self._frame.to_geodetic((east, north, float(level_ground_m(east, north)))))
         spot, where = t.best
+        named = max(t.likely.values(), key=lambda one: one.log_odds, default=None)
         known = t.newest.place
         assert known is not None and spot.place is not None
         place = Place(
@@ -202,6 +204,7 @@ class SpotMerger:
             t.number, place, self._course(t), t.pictures, tuple(sorted(t.vehicles)), t.first_unix_ns,
             t.spots[-1].capture_unix_ns, t.temperature_c, t.above_ground_k, spot.contrast, spot.area_m2,
             spot.sigma_area_m2, where, t.spots[-1],
+            None if named is None else named.kind, None if named is None else named.probability,
             tuple(dict.fromkeys([*t.bests, *t.spots])),
         )  # fmt: skip
 
@@ -223,6 +226,8 @@ def _note(t: _Thing, report: SpotReport, spot: Spot) -> None:
     t.pictures += 1
     t.vehicles.add(report.vehicle)
     t.newest = spot
+    if spot.kind is not None:
+        t.likely[report.vehicle, report.session] = spot
     t.spots.append(where)
     if len(t.spots) > MOST_KEPT_SPOTS:
         del t.spots[1]  # the first stays: it is what the thing was known by at first

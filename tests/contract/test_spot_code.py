@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from contract.answer import Ellipse, Place
 from contract.errors import CorruptPayload, NewerPayload, TruncatedPayload, WireError
 from contract.feature_set import Status
-from contract.spot import MOST_SPOTS, Spot, SpotReport
+from contract.spot import MOST_SPOTS, Spot, SpotReport, ThingKind
 from contract.wire.outlines import fitted, outline_bytes
 from contract.wire.spot_code import MAX_SPOT_BYTES, decode_spots, encode_spots
 
@@ -57,6 +57,8 @@ def reports(draw: st.DrawFn) -> SpotReport:
             draw(st.floats(-1.0, 8190.0)), draw(st.floats(-1.0, 8190.0)), sign * draw(st.floats(0.5, 900.0)),
             draw(st.floats(-100.0, 1500.0)) if is_calibrated else None,
             sign * draw(st.floats(0.1, 1000.0)) if is_calibrated else None, is_cut=draw(st.booleans()),
+            kind=(kind := draw(st.sampled_from([None, *ThingKind]))),
+            log_odds=0.0 if kind is None else draw(st.floats(-20.0, 20.0)),
         )  # fmt: skip
         if draw(st.booleans()):
             spots.append(replace(spot, status=draw(st.sampled_from([s for s in Status if s is not Status.OK]))))
@@ -97,7 +99,8 @@ def test_a_report_is_read_back_from_200_bytes_or_fewer(report: SpotReport) -> No
     assert is_like(found.picture_share, report.picture_share, within=0.002)
     assert is_like(found.session_share, report.session_share, within=0.002)
     for one, other in zip(found.spots, kept, strict=True):
-        assert (one.status, one.is_cut) == (other.status, other.is_cut)
+        assert (one.status, one.is_cut, one.kind) == (other.status, other.is_cut, other.kind)
+        assert is_like(one.log_odds, min(max(other.log_odds, -15.875), 15.875), within=0.0626)
         assert is_like(one.contrast, other.contrast, rel=0.016)
         assert is_like(one.temperature_c, other.temperature_c, within=0.0251)
         assert is_like(one.above_ground_k, other.above_ground_k, rel=0.021)
@@ -120,6 +123,20 @@ def test_heights_are_those_of_the_datums_that_are_known(report: SpotReport) -> N
         if one.place is not None and other.place is not None:
             assert is_like(one.place.height_amsl_m, other.place.height_amsl_m, within=0.0511)
             assert is_like(one.place.height_ellipsoid_m, other.place.height_ellipsoid_m, within=0.0521)
+
+
+def test_what_a_net_takes_a_spot_for_is_two_bytes_more_of_each_spot_and_nothing_where_all_are_only_hot() -> None:
+    first, *others = REPORT.spots
+    plain = encode_spots(replace(REPORT, spots=(first,)))
+    b = encode_spots(replace(REPORT, spots=(replace(first, kind=ThingKind.VEHICLE, log_odds=-2.25),)))
+    assert plain[1] == 0x0F and b[1] == 0x1F
+    assert b[:1] + b[2:47] + b[49:] == plain[:1] + plain[2:47] + plain[47:]
+    assert b[47:49] == bytes([2, 256 - 18])
+    mixed = decode_spots(encode_spots(replace(REPORT, spots=(replace(first, kind=ThingKind.PERSON), *others))))
+    assert [spot.kind for spot in mixed.spots] == [ThingKind.PERSON, None, None]
+    for kind, steps, error in [(4, 0, NewerPayload), (0, 1, CorruptPayload), (1, 128, CorruptPayload)]:
+        with pytest.raises(error):
+            decode_spots(b[:47] + bytes([kind, steps]) + b[49:])
 
 
 def test_the_bytes_are_those_of_the_document() -> None:

@@ -14,7 +14,7 @@ from starlette.testclient import TestClient
 from contract.answer import Ellipse, Fix, Place
 from contract.feature_set import Status
 from contract.locate import Locator
-from contract.spot import Spot, SpotReport
+from contract.spot import Spot, SpotReport, ThingKind
 from ground.pins.store import PinStore
 from ground.web.app import create_app
 from ground.web.context import ServerContext
@@ -31,7 +31,10 @@ PLACES = ((400.0, 300.0, 36.5), (200.0, 200.0, 52.0), (300.0, 120.0, 20.0))  # p
 
 
 def report(frame: int, count: int = 2, vehicle: str = VEHICLE) -> SpotReport:
-    """The first of PLACES as a picture shows them: where they are on the ground does not change."""
+    """The first of PLACES as a picture shows them: where they are on the ground does not change.
+
+    The third is hardly warmer than its ground, but a net takes it for a person.
+    """
     s = rendered_set(frame)
     spots = []
     for u, v, temperature_c in PLACES[:count]:
@@ -40,7 +43,8 @@ def report(frame: int, count: int = 2, vehicle: str = VEHICLE) -> SpotReport:
         place = Place(
             found.lat_deg, found.lon_deg, found.height_amsl_m, found.height_ellipsoid_m, Ellipse(3.0, 2.0, 30.0), 2.0
         )
-        spots.append(Spot(u, v + 17.0 * frame, 9.0, temperature_c, 15.0, Status.OK, place, 0.5, 0.1))
+        named = (ThingKind.PERSON, 2.2) if temperature_c == 20.0 else (None, 0.0)
+        spots.append(Spot(u, v + 17.0 * frame, 9.0, temperature_c, 15.0, Status.OK, place, 0.5, 0.1, (), False, *named))
     return SpotReport(s.session, frame, s.capture_unix_ns, True, tuple(spots), 0, 0.8, 0.6, vehicle)
 
 
@@ -162,6 +166,10 @@ def test_a_find_alarms_is_confirmed_or_dismissed_and_the_sound_can_be_muted(
     flight.source.views.spots.add([report(4, 3), report(5, 3)])
     page.wait_for_selector("[data-testid=found][data-spot='3'][data-news=yes]")
     assert page.evaluate("window.tones") == tones
+    assert anna.by("found-count").inner_text() == "Hot spots 3, the likeliest person 90 %"
+    rows = {row.get_attribute("data-spot"): row.bounding_box()["y"] for row in anna.by("found").all()}
+    assert rows["3"] < rows["2"] < rows["1"]
+    assert "a person, 90 % likely, 20.0 degC" in page.locator("[data-spot='3'] .track-words").inner_text()
     page.keyboard.press("1")
     page.locator("[data-spot='2'] [data-testid=confirm]").click()
     anna.wait_for_pins(1)
