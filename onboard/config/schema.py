@@ -370,6 +370,8 @@ class SpotsConfig(Section):
         5.0, 0.5, 200.0, "m", "across, of a spot that is found by its surroundings; a larger one by its heat alone"
     )
     rate_hz: float = quantity(2.0, 0.05, 2.0, "Hz", "pictures looked at, at most")
+    things: bool = choice(False, "a net also looks for people, vehicles and other things (docs/hot-spots.md)")
+    things_per_km2: float = quantity(1.0, 0.001, 1e4, "1/km2", "of each kind, expected before any has been found")
 
 
 class Recording(Section):

@@ -7,15 +7,15 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
+from onboard.spots.counted_ground import KEPT, CountedGround
+
 Array = NDArray[np.float64]
 
-KEPT = 400  # pictures of ground of its own each
 LARGEST = 100  # contrasts of a picture
 FITTED, FITTED_KM2 = 40, 1000.0  # that the tail is fitted to: at least so many, and so many a square kilometre
 LEAST_PEAKS = 20
 CENSORED = 0.1  # of them, the largest, which may be what is looked for: only that they are large is used
 SHAPE, SHAPE_SIGMA = 0.1, 0.03  # of the tail: rather heavier than an exponential, as far as that is not known
-APART = 0.8  # of a picture's side, at which its ground counts as another's
 _SHAPES = np.linspace(-0.4, 0.4, 34)  # without 0
 _SCALES = np.geomspace(0.2, 5.0, 48)  # of the mean excess
 
@@ -25,22 +25,14 @@ class ClutterTail:
 
     def __init__(self, false_per_km2: float) -> None:
         self._rate = false_per_km2
-        self._samples: deque[tuple[Array, float, Array]] = deque(maxlen=KEPT)  # place, area, contrasts
+        self.ground = CountedGround()
+        self._contrasts: deque[Array] = deque(maxlen=KEPT)
         self._threshold: float | None = None
-
-    @property
-    def searched_km2(self) -> float:
-        """The ground that the tail is known from."""
-        return sum(area for _, area, _ in self._samples)
-
-    def is_new(self, place_m: Array, area_km2: float) -> bool:
-        """Return whether a picture about a place (2,), east and north, m, shows ground that has not been counted."""
-        side_m = 1000.0 * np.sqrt(area_km2)
-        return all(float(np.hypot(*(place_m - other))) > APART * side_m for other, _, _ in self._samples)
 
     def add(self, place_m: Array, area_km2: float, contrasts: Array) -> None:
         """The largest contrasts of what might have been a spot on `area_km2` of ground."""
-        self._samples.append((place_m, area_km2, np.sort(contrasts)[::-1][:LARGEST]))
+        self.ground.add(place_m, area_km2)
+        self._contrasts.append(np.sort(contrasts)[::-1][:LARGEST])
         self._threshold = None
 
     @property
@@ -51,9 +43,9 @@ class ClutterTail:
         return self._threshold
 
     def _fitted(self) -> float:
-        peaks = np.sort(np.concatenate([c for _, _, c in self._samples]))[::-1] if self._samples else np.zeros(0)
-        allowed = self._rate * self.searched_km2
-        wanted = max(FITTED, FITTED_KM2 * self.searched_km2, 4.0 * allowed)
+        peaks = np.sort(np.concatenate(self._contrasts))[::-1] if self._contrasts else np.zeros(0)
+        allowed = self._rate * self.ground.km2
+        wanted = max(FITTED, FITTED_KM2 * self.ground.km2, 4.0 * allowed)
         count = min(int(np.ceil(wanted)), len(peaks)) - 1
         if count < LEAST_PEAKS:
             return float("inf")

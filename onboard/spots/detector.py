@@ -68,7 +68,7 @@ class Detector:
         """Add to `tail` how much of the picture looks like a spot, if its ground has not been counted yet. (25.6)"""
         width, height = c.size_px
         area_km2 = 1e-6 * ground.area_m2((width, height)) * c.times**2
-        if area_km2 > 0.0 and tail.is_new(place_m, area_km2):
+        if area_km2 > 0.0 and tail.ground.is_new(place_m, area_km2):
             found = self._small(c, pixel_m, 0.0, LARGEST)
             tail.add(place_m, area_km2, np.array([size for size, _ in found]))
 
@@ -102,9 +102,14 @@ def apart(regions: list[Region]) -> list[Region]:
     """Without those that lie about the middle of one before them, or have their own middle in it."""
     kept: list[Region] = []
     for region in regions:
-        if not any(_is_in_box(region.uv_px, other) or _is_in_box(other.uv_px, region) for other in kept):
+        if not any(are_one(region, other) for other in kept):
             kept.append(region)
     return kept[:MOST_REGIONS]
+
+
+def are_one(region: Region, other: Region) -> bool:
+    """Return whether one of two regions lies about the middle of the other."""
+    return _is_in_box(region.uv_px, other) or _is_in_box(other.uv_px, region)
 
 
 def _is_in_box(uv_px: Array, region: Region) -> bool:

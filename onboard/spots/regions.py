@@ -89,7 +89,7 @@ def region_of(c: Contrast, part: Part, contrast: float) -> Region | None:
     """A part of the picture of `c`, in pixels of the picture as it was."""
     height, width = part.level.shape
     ground = c.background[part.up : part.up + height, part.left : part.left + width]
-    region = _region(c.values, ground, part)
+    region = region_in(c.values, ground, part)
     if region is None:
         return None
     uv, outline = ((px + 0.5) * c.times - 0.5 for px in (region.uv_px, region.outline_px))
@@ -114,15 +114,15 @@ def above(values: Image, ground: float, contrast: Image, level: Image, least_px:
         inside = labels[up:down, left:right] == label
         near = level[up:down, left:right]
         part = Part(np.where(inside, near, np.minimum(near, 0.0)), up, left)
-        region = _region(values, np.full(inside.shape, ground, np.float32), part)
+        region = region_in(values, np.full(inside.shape, ground, np.float32), part)
         if region is not None:
             size = float(contrast[up:down, left:right][inside].max())
             found.append(replace(region, contrast=size, significance=float("inf")))
     return found
 
 
-def _region(values: Image, ground: Image, part: Part) -> Region | None:
-    """A part of a picture (H, W); `ground` (h, w) about it."""
+def region_in(values: Image, ground: Image, part: Part) -> Region | None:
+    """Return the region of a part of a picture (H, W), without contrast; `ground` (h, w) is about it."""
     height, width = values.shape
     level, up, left = part.level, part.up, part.left
     rows, columns = np.nonzero(level > 0.0)

@@ -12,14 +12,17 @@ from contract.answer import Fix
 from contract.feature_set import FeatureSet, Status
 from contract.geodesy import LocalFrame
 from contract.locate import Locator
-from contract.rotations import skew
 from contract.spot import Spot, SpotReport
 from onboard.config.schema import SpotsConfig, ThermalConfig
 from onboard.events.types import Frame
 from onboard.spots.blurred_area import unblurred
-from onboard.spots.detector import ZERO_C_K, Detector
+from onboard.spots.detector import PARTS, ZERO_C_K, Detector, are_one
+from onboard.spots.ground_scale import ground_scale
 from onboard.spots.regions import Region
 from onboard.spots.second_camera import STATES, Pointing
+from onboard.spots.shares import shares
+from onboard.spots.thing_book import ThingBook, ThingSeen
+from onboard.spots.thing_region import region_of_thing
 
 Array = NDArray[np.float64]
 
@@ -56,6 +59,9 @@ class SpotBook:
         self._session = session
         self._origin: LocalFrame | None = None
         self._detector = Detector(self._config, self._thermal.calibration)
+        self._things = (
+            ThingBook(self._config.false_per_km2, self._config.things_per_km2) if self._config.things else None
+        )
         self._before: deque[list[Placed]] = deque(maxlen=OF - 1)
         self.newest: list[Placed] = []  # of the last picture, those of its spots that have a place
 
@@ -74,9 +80,14 @@ class SpotBook:
         locator = Locator(s) if s.is_ok else None
         if s.is_ok and self._origin is None:
             self._origin = LocalFrame(s.camera_lat_deg, s.camera_lon_deg, 0.0)
-        found = self._detector.look(frame.counts, s, self._ground_place(locator))
-        placed = [self._placed(region, locator, s.status, pointing) for region in found]
-        kept = [one for one in placed if one.fix is None or self._times_seen(one) + 1 >= SEEN]
+        hot = self._detector.look(frame.counts, s, self._ground_place(locator))
+        things = [] if locator is None else self._seen_things(frame.counts, locator)
+        placed = [self._thing(region, seen, locator, s.status, pointing) for region, seen in things]
+        found = [one for one in hot if not any(are_one(one, region) for region, _ in things)]
+        placed += [self._placed(region, locator, s.status, pointing) for region in found]
+        kept = [
+            one for one in placed if one.fix is None or one.spot.kind is not None or self._times_seen(one) + 1 >= SEEN
+        ]
         self._before.append([one for one in placed if one.fix is not None])
         self.newest = shown = [one for one in kept if one.fix is not None]
         picture, session = shares([one.fix for one in shown if one.fix], s, [one.pointed_m for one in shown])
@@ -84,6 +95,22 @@ class SpotBook:
             s.session, s.frame, s.capture_unix_ns, self._thermal.calibration is not None,
             tuple(one.spot for one in kept), 0, picture, session, self._vehicle,
         )  # fmt: skip
+
+    def _seen_things(self, counts: NDArray[np.uint16], locator: Locator) -> list[tuple[Region, ThingSeen]]:
+        """What the net finds in a picture, the most likely first; nothing where the picture shows no ground."""
+        ground = ground_scale(locator.feature_set, PARTS)
+        if self._things is None or ground is None or self._origin is None:
+            return []
+        scale = self._thermal.calibration
+        values = counts.astype(np.float32) if scale is None else scale.kelvin(counts)
+        found = self._things.look(values, locator, ground, self._origin)
+        return [(region_of_thing(values, seen.peak), seen) for seen in found]
+
+    def _thing(
+        self, region: Region, seen: ThingSeen, locator: Locator | None, status: Status, pointing: Pointing | None
+    ) -> Placed:
+        one = self._placed(region, locator, status, pointing)
+        return replace(one, spot=replace(one.spot, kind=seen.peak.kind, log_odds=seen.log_odds))
 
     def _ground_place(self, locator: Locator | None) -> Array:
         """About where a picture's ground is: the place at its middle, else below the camera."""
@@ -169,25 +196,3 @@ def area_and_sigma(outline: Array, region: Region, pixel_m: float, fix: Fix) -> 
     along = fix.offset_enu_m / distance
     by_distance = 2.0 * np.sqrt(float(along @ fix.covariance_enu_m2 @ along)) / distance
     return area, float(np.hypot(np.hypot(by_edge, by_blur), by_distance * area))
-
-
-def shares(fixes: list[Fix], its_set: FeatureSet, pointed_m: list[Array]) -> tuple[float, float]:
-    """Return the shares of the fixes' horizontal variance that the picture's have in common, and the session's.
-
-    (25.12), (27.7). `pointed_m`: for each fix the root (2, k) of what a second camera adds, first the columns that last
-    a session.
-    """
-    if not fixes:
-        return 0.0, 0.0
-    offset = np.mean([fix.offset_enu_m for fix in fixes], axis=0)
-    ray = its_set.R_enu_cam.T @ offset
-    J = np.concatenate([np.eye(3), -skew(offset), -np.outer(offset, [1.0, ray[0] / ray[2], ray[1] / ray[2]])], axis=1)
-    total = float(np.mean([np.trace(fix.covariance_enu_m2[:2, :2]) for fix in fixes]))
-    common = float(np.trace((J @ its_set.common_cov @ J.T)[:2, :2]))
-    session = float(np.sum((J @ its_set.shared.by_nuisance)[:2] ** 2))
-    common += float(np.mean([np.sum(root**2) for root in pointed_m]))
-    session += float(np.mean([np.sum(root[:, :STATES] ** 2) for root in pointed_m]))
-    if total <= 0.0:
-        return 0.0, 0.0
-    picture = min(common / total, 1.0)
-    return picture, min(session / total, picture)

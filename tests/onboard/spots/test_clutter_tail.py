@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from onboard.spots.clutter_tail import APART, LARGEST, ClutterTail
+from onboard.spots.clutter_tail import LARGEST, ClutterTail
+from onboard.spots.counted_ground import APART
 
 AREA_KM2 = 0.01
 DENSITY = 20_000.0  # peaks a km2
@@ -68,14 +69,14 @@ def test_nothing_is_a_spot_before_anything_is_known() -> None:
 def test_ground_counts_once() -> None:
     tail = ClutterTail(1.0)
     side_m = 1000.0 * math.sqrt(AREA_KM2)
-    assert tail.is_new(np.zeros(2), AREA_KM2)
+    assert tail.ground.is_new(np.zeros(2), AREA_KM2)
     tail.add(np.zeros(2), AREA_KM2, np.ones(LARGEST))
-    assert not tail.is_new(np.array([0.9 * APART * side_m, 0.0]), AREA_KM2)
-    assert tail.is_new(np.array([0.0, 1.1 * APART * side_m]), AREA_KM2)
-    assert tail.searched_km2 == AREA_KM2
+    assert not tail.ground.is_new(np.array([0.9 * APART * side_m, 0.0]), AREA_KM2)
+    assert tail.ground.is_new(np.array([0.0, 1.1 * APART * side_m]), AREA_KM2)
+    assert tail.ground.km2 == AREA_KM2
 
 
 def test_ground_without_a_place_is_never_new() -> None:
     tail = ClutterTail(1.0)
     tail.add(np.zeros(2), AREA_KM2, np.ones(LARGEST))
-    assert not tail.is_new(np.full(2, np.nan), AREA_KM2)
+    assert not tail.ground.is_new(np.full(2, np.nan), AREA_KM2)

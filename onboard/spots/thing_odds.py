@@ -1,0 +1,124 @@
+"""How likely a place on the ground holds a thing, by every look at it: (25.14) to (25.18)."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr, ndtri
+
+from contract.spot import ThingKind
+from onboard.spots.thing_net import WEIGHTS
+
+Array = NDArray[np.float64]
+
+CALIBRATION = WEIGHTS / "thermal_things.json"
+MISSED = -1  # the class of a look without a peak
+NODES = np.linspace(-8.0, 8.0, 129)  # of what all looks at one place have in common, in its sigmas
+LOG_WEIGHTS = -0.5 * NODES**2 - np.log(np.exp(-0.5 * NODES**2).sum())
+LEAST = 1e-300
+LEAST_SCORE = 0.1  # what scores less is too common to decide anything
+
+
+@dataclass(frozen=True)
+class Again:
+    """How looks at one place depend on each other.
+
+    `shared`: of what makes it score high, the part (of variance) that they have in common. `lost`: the share of looks
+    that show nothing there, whatever it is like.
+    """
+
+    shared: float
+    lost: float
+
+
+@dataclass(frozen=True, eq=False)
+class ScoreLaw:
+    """How peaks of one kind score, by classes of score: class k from `edges[k]` to `edges[k + 1]`, edges (N + 1,).
+
+    `found` (N,): share of true things whose peak is in each class; the rest of 1 has no peak. `false_per_mpx` (N,):
+    peaks in each class where no thing is, in a megapixel. `found_again` and `false_again`: how looks at one place with
+    a thing, and without one, depend on each other. `flights`: the shape of the gamma law by which flights differ in the
+    rate of false peaks.
+    """
+
+    edges: Array
+    found: Array
+    false_per_mpx: Array
+    found_again: Again
+    false_again: Again
+    flights: float
+
+    def class_of(self, score: float) -> int:
+        """The class of a peak's score; MISSED below the least."""
+        return min(int(np.searchsorted(self.edges, score, side="right")) - 1, len(self.found) - 1)
+
+    def ratio(self) -> Array:
+        """(N,): the things for one false peak, in megapixels, of each class. (25.14)"""
+        out: Array = self.found / np.maximum(self.false_per_mpx, LEAST)
+        return out
+
+
+def read_laws(path: Path = CALIBRATION) -> dict[ThingKind, ScoreLaw]:
+    """The calibration that belongs to the weights, by kind; lower classes than LEAST_SCORE count as no peak."""
+    return {ThingKind(name): _law(of) for name, of in json.loads(path.read_text())["kinds"].items()}
+
+
+def _law(of: dict[str, Any]) -> ScoreLaw:
+    edges = np.array(of["edges"])
+    first = int(np.searchsorted(edges, LEAST_SCORE))
+    again = Again(**of["found_again"]), Again(**of["false_again"])
+    return ScoreLaw(
+        edges[first:], np.array(of["found"])[first:], np.array(of["false_per_mpx"])[first:], *again, of["flights"]
+    )
+
+
+class PlaceOdds:
+    """Two explanations of the looks at one place: a thing is there, or ground that resembles one. (25.15) to (25.17)"""
+
+    def __init__(self, law: ScoreLaw) -> None:
+        self._law = law
+        self._thing, self._ground = LOG_WEIGHTS.copy(), LOG_WEIGHTS.copy()
+        self._log_gate_km2 = np.nan  # of the first look
+        self.log_km2 = 0.0
+        """ln of the likelihood that a thing is there over the density (1/km2) of ground that looks so, in km2; 0 before
+        the first look. (25.17)
+        """
+
+    def look(self, score_class: int, gate_mpx: float, gate_km2: float, rate: float) -> None:
+        """Add a look: the class of the peak within a gate of that size, or MISSED.
+
+        `rate`: of this flight's false peaks, over those of the calibration.
+        """
+        law = self._law
+        if np.isnan(self._log_gate_km2):
+            self._log_gate_km2 = float(np.log(gate_km2))
+        found = np.append(np.cumsum(law.found[::-1])[::-1], 0.0)
+        false = np.append(-np.expm1(-rate * gate_mpx * np.cumsum(law.false_per_mpx[::-1])[::-1]), 0.0)
+        self._thing += _log_share(found, score_class, law.found_again)
+        self._ground += _log_share(false, score_class, law.false_again)
+        self.log_km2 = _log_sum(self._thing) - _log_sum(self._ground) + self._log_gate_km2
+
+
+def _log_share(reached: Array, score_class: int, again: Again) -> Array:
+    """ln of the probability (NODES,) of a class, for each value of what looks have in common. (25.15)
+
+    `reached` (N + 1,): the probability to reach each class's lower edge, and 0.
+    """
+    lost = min(again.lost, 1.0 - float(reached[0]))
+    reached = np.minimum(reached / (1.0 - lost), 1.0)
+    upper, lower = (1.0, reached[0]) if score_class == MISSED else reached[[score_class, score_class + 1]]
+    above = (ndtri(share) + np.sqrt(again.shared) * NODES for share in (upper, lower))
+    most, least = (ndtr(part / np.sqrt(1.0 - again.shared)) for part in above)
+    shown = (1.0 - lost) * (most - least) + (lost if score_class == MISSED else 0.0)
+    return np.asarray(np.log(np.maximum(shown, LEAST)), np.float64)
+
+
+def _log_sum(logs: Array) -> float:
+    """ln of the sum of exp(logs)."""
+    most = float(logs.max())
+    return most + float(np.log(np.exp(logs - most).sum()))
