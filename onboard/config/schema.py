@@ -99,7 +99,7 @@ class CameraConfig(Section):
         "gst:PIPELINE up to raw video; exec:COMMAND of your own (docs/camera.md)",
     )
     file: str | None = choice(
-        None, "camera file (optics), as `pc-onboard calibrate` writes it, or another tool's (docs/calibrate.md)"
+        None, "camera file (optics): of `pc-onboard calibrate`, or another tool's (docs/calibrate.md)"
     )
     format: Literal[
         "auto", "GREY", "YUYV", "NV12", "MJPG", "Y16", "UYVY", "YU12", "Y10", "Y12", "GRBG", "RGGB", "GBRG", "BA81"

@@ -32,7 +32,7 @@ def set_at(frame: int, east_m: float, north_m: float) -> FeatureSet:
 
 @dataclass
 class Sampled:
-    """A net that sees things (east, north, score) where they are, and what the rest of `scores` says."""
+    """A net that sees things (east, north, score) where they are."""
 
     its_set: FeatureSet = field(default_factory=lambda: set_at(0, 0.0, 0.0))
     things: list[tuple[float, float, float]] = field(default_factory=list)

@@ -86,7 +86,7 @@ def test_ground_that_resembles_a_thing_reaches_c_in_fewer_than_1_in_c_places_a_k
 
 
 def test_of_places_stated_to_be_likely_so_many_are_things() -> None:
-    """Things and ground mixed as densely as the prior says: calibrated in each fifth that holds enough."""
+    """Things and ground mixed as densely as the prior has them: calibrated in each fifth that holds enough."""
     _, things = sampled(True, 2000, 3)
     _, ground = sampled(False, 8000, 3)
     things_km2 = 2000 / LAW.found.sum() / 3.0
