@@ -61,6 +61,7 @@ ARROWS: dict[str, set[str]] = {
     "simulation.autopilot": {"simulation"},
     "demo": {"onboard", "ground", "simulation"},
     "benchmarks": {"onboard", "ground", "simulation", "tests"},
+    "training": set(),
 }  # fmt: skip
 # The error study simulates the estimator itself; the rest of the simulation knows nothing of what it tests.
 STUDY = re.compile(r"simulation\.study\w*")
@@ -73,6 +74,7 @@ IO_ALLOWED = {
     "ground", "ground.commands", "ground.pins", "ground.web", "onboard", "onboard.camera", "onboard.telemetry",
     "onboard.link", "onboard.storage", "onboard.replay",
     "onboard.service", "onboard.commands", "onboard.events", "simulation", "simulation.autopilot", "demo", "benchmarks",
+    "training",
 }  # fmt: skip
 # One kind of thread for both sides, neither of which may import the other.
 IO_MODULES = {"contract.supervised_thread", "ground.spots.received"}
@@ -180,7 +182,7 @@ def changed_from_outside(tree: ast.AST, attributes: set[str]) -> Iterator[ast.At
             yield changed
 
 
-EVERY = modules("contract", "ground", "onboard", "simulation", "demo", "benchmarks")
+EVERY = modules("contract", "ground", "onboard", "simulation", "demo", "benchmarks", "training")
 
 
 def test_no_import_runs_against_the_arrows() -> None:

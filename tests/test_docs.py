@@ -12,7 +12,7 @@ from demo.__main__ import HEADER, head_text, row_text
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
-TOPS = "contract|onboard|ground|simulation|demo|benchmarks|tests|docs|systemd|packaging"
+TOPS = "contract|onboard|ground|simulation|demo|benchmarks|training|tests|docs|systemd|packaging"
 # A path in backticks from the root on, without a placeholder.
 PATH = re.compile(rf"`((?:{TOPS})/[\w./-]*\w)`")
 LINK = re.compile(r"\]\(([\w./-]+\.md)(?:#[\w-]+)?\)")
@@ -20,7 +20,10 @@ ANCHOR = re.compile(r"\]\(([\w./-]+\.md)?#([\w-]+)\)")
 FENCED = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
 # Tables, pictures with their captions, and indented code.
 NO_PROSE = re.compile(r"\s*\||!\[| {4}(?! )")
-CODE = "contract", "onboard", "ground", "simulation", "demo", "benchmarks", "tests", "examples", "packaging", "systemd"
+CODE = (
+    "contract", "onboard", "ground", "simulation", "demo", "benchmarks", "training", "tests", "examples", "packaging",
+    "systemd",
+)  # fmt: skip
 CODE_SUFFIXES = {".py", ".toml", ".ts", ".html", ".service"}
 NAMED_IN_CODE = re.compile(r"\bdocs/[a-z][\w-]*\.md\b")
 

@@ -82,7 +82,7 @@ def too_many(part: str, files: Iterable[Path]) -> list[str]:
     ]
 
 
-PARTS = {"code": CODE, "tests": ("tests",), "benchmarks": ("benchmarks", "demo", "examples")}
+PARTS = {"code": CODE, "tests": ("tests",), "benchmarks": ("benchmarks", "demo", "examples", "training")}
 
 
 @pytest.mark.parametrize("part", PARTS)

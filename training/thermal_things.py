@@ -1,0 +1,111 @@
+"""Train, judge and calibrate the net that finds people, vehicles and other things in thermal pictures.
+
+    python -m training.thermal_things DATA OUT [--minutes 60] [--seed 0] [--onnx FILE]
+
+DATA is the folder `normal_xml` of HIT-UAV. Into OUT go `thermal_things.onnx`, its calibration and figures
+`thermal_things.json`, and while it trains `thermal_things.pt`. With `--onnx` nothing is trained: that net is judged and
+calibrated, on the same pictures.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from training.again import again, described, flights
+from training.calibration import counted, reliability, tables
+from training.labelled_pictures import KINDS, Grey, Split, read_all, split
+from training.net_input import BOX_PX, LEAST_LOCAL_SPREAD, LEAST_SPREAD, MOST, STRIDE_PX
+from training.peaks import LEAST_SCORE, PEAK_CELLS
+from training.repeats import moved_pairs, pairs_of
+from training.run_onnx import OnnxNet
+from training.score import Looks, figures, look_at, of_pictures
+from training.targets import SIZE_PX
+
+FORMAT = 1
+NAME = "thermal_things"
+BETWEEN_FLIGHTS = 60  # numbers of pictures
+
+
+def milliseconds(net: OnnxNet, grey: Grey) -> float:
+    """Return how long a look takes on one thread: the least of several, as others may use the processor."""
+    net.seconds.clear()
+    for _ in range(8):
+        net.maps(grey)
+    return round(1e3 * min(net.seconds), 1)
+
+
+def judged(net: OnnxNet, data: Split, test: Looks, half: Looks) -> dict[str, object]:
+    """Return the figures of the pictures that neither training nor calibration has seen."""
+    is_day = np.array([p.is_day for p in data.test])
+    black_hot = look_at(data.test, lambda grey: net.maps(np.asarray(255 - grey, dtype=np.uint8)))
+    sets = {
+        "all": test, "day": of_pictures(test, is_day), "night": of_pictures(test, ~is_day), "black_hot": black_hot,
+        "half_size": half,
+    }  # fmt: skip
+    grey = data.test[0].grey()
+    small = np.asarray(cv2.resize(grey, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    return {
+        "pictures": len(data.test),
+        **{name: {kind: figures(looks, k) for k, kind in enumerate(KINDS)} for name, looks in sets.items()},
+        "milliseconds_640x512": milliseconds(net, grey), "milliseconds_320x256": milliseconds(net, small),
+    }  # fmt: skip
+
+
+def calibrated(path: Path, data: Split) -> dict[str, object]:
+    """Return what `thermal_things.json` states: the input, the calibration by kind, and how far both can be trusted."""
+    net = OnnxNet(path)
+    pairs = pairs_of(data.calibration, net.maps)
+    numbers = np.array([p.number for p in data.calibration])
+    flight = np.concatenate([[0], np.cumsum(np.diff(numbers) > BETWEEN_FLIGHTS)])
+    looks, half = look_at(data.calibration, net.maps), look_at(data.calibration, net.maps, shrink=2)
+    kinds = tables(looks, half)
+    for k, name in enumerate(KINDS):
+        kinds[name] |= again(counted(looks, k), pairs, k) | {"flights": flights(looks, k, flight)}
+    test, test_half = look_at(data.test, net.maps), look_at(data.test, net.maps, shrink=2)
+    return {
+        "format": FORMAT, "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
+        "input": {
+            "box_px": BOX_PX, "least_spread": LEAST_SPREAD, "least_local_spread": LEAST_LOCAL_SPREAD, "most": MOST,
+        },
+        "output": {"stride_px": STRIDE_PX, "size_px": SIZE_PX, "peak_cells": PEAK_CELLS, "least_score": LEAST_SCORE},
+        "calibration_pictures": len(data.calibration),
+        "kinds": kinds,
+        "pairs": {"all": described(pairs), "moved": described(moved_pairs(pairs))},
+        "test_pairs": described(moved_pairs(pairs_of(data.test, net.maps))),
+        "test": judged(net, data, test, test_half),
+        "reliability": {name: reliability(counted(looks, k), test, k) for k, name in enumerate(KINDS)},
+        "reliability_half_size": {name: reliability(counted(looks, k), test_half, k) for k, name in enumerate(KINDS)},
+    }  # fmt: skip
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("data", type=Path, help="folder normal_xml of HIT-UAV")
+    parser.add_argument("out", type=Path, help="folder for the net and its calibration")
+    parser.add_argument("--minutes", type=float, default=60.0, help="time to train")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--onnx", type=Path, help="judge and calibrate this net instead of training one")
+    given = parser.parse_args(arguments)
+    cv2.setNumThreads(1)
+    given.out.mkdir(parents=True, exist_ok=True)
+    data = split(read_all(given.data))
+    path = given.onnx
+    if path is None:
+        from training.train import trained  # noqa: PLC0415  (PyTorch, which judging a net does without)
+
+        path = given.out / f"{NAME}.onnx"
+        trained(data, path, given.minutes, given.seed)
+    stated = calibrated(path, data)
+    (given.out / f"{NAME}.json").write_text(json.dumps(stated, indent=1) + "\n", encoding="utf-8")
+    print(json.dumps(stated["test"], indent=1))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,28 @@
+"""The way from labelled pictures to a file with a net."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from training.crops import Crops
+from training.export import export
+from training.fit import Fit, Progress
+from training.labelled_pictures import Split
+
+
+def trained(data: Split, path: Path, minutes: float, seed: int) -> None:
+    """Train for so many minutes and write the net to `path`; its weights so far are kept next to it."""
+    # More threads wait for each other wherever another program wants a core, for longer than they save.
+    torch.set_num_threads(1)
+    fit = Fit(Crops(data.training, np.random.default_rng(seed)), seed)
+
+    def report(progress: Progress) -> None:
+        print(f"{progress.share:6.1%}  step {progress.steps}  loss {progress.loss:.3f}", flush=True)
+        torch.save(fit.mean.state_dict(), path.with_suffix(".pt"))
+
+    fit.run(60.0 * minutes, report)
+    off = export(fit.mean, path, data.calibration[0].grey())
+    print(f"{fit.steps} steps; OpenCV is {off:.1g} off PyTorch", flush=True)
