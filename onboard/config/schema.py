@@ -98,9 +98,7 @@ class CameraConfig(Section):
         "V4L2 device, better a name under /dev/v4l/by-id or by-path; libcamera: or libcamera:ID; rtsp://HOST/PATH; "
         "gst:PIPELINE up to raw video; exec:COMMAND of your own (docs/camera.md)",
     )
-    file: str | None = choice(
-        None, "camera file (optics): of `pc-onboard calibrate`, or another tool's (docs/calibrate.md)"
-    )
+    file: str | None = choice(None, "camera file: of `pc-onboard calibrate`, or another tool's (docs/calibrate.md)")
     format: Literal[
         "auto", "GREY", "YUYV", "NV12", "MJPG", "Y16", "UYVY", "YU12", "Y10", "Y12", "GRBG", "RGGB", "GBRG", "BA81"
     ] = choice("auto", "pixel format of a V4L2 device; 'auto' takes the first of these that has size and rate")
