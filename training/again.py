@@ -36,7 +36,7 @@ SHAPES = np.geomspace(0.1, 100.0, 121)
 
 
 class Again(NamedTuple):
-    """The dependence of looks at one place: the part of variance that they share, `shared`, and the share of looks that are `lost`."""
+    """The dependence of looks: the part of variance that is `shared`, and the share of looks that are `lost`."""
 
     shared: float
     lost: float
