@@ -11,7 +11,7 @@ import math
 import re
 import sys
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -130,8 +130,9 @@ def _clickers(args: argparse.Namespace) -> Iterator[tuple[AnyClicker, AnyClicker
         with MavlinkLink(MavlinkEndpoint.parse(args.connect)) as link:
             yield AskedClicker(link, args.vehicle, max_age_s), AskedClicker(link, args.vehicle, math.inf)
     else:
-        clicker = partial(Clicker, source_of(args), is_measured=not args.interpolated)
-        yield clicker(max_age_s), clicker(math.inf)
+        with closing(source_of(args)) as source:
+            clicker = partial(Clicker, source, is_measured=not args.interpolated)
+            yield clicker(max_age_s), clicker(math.inf)
 
 
 def _run_batch(args: argparse.Namespace) -> int:
@@ -139,10 +140,11 @@ def _run_batch(args: argparse.Namespace) -> int:
         raise UsageError("--batch goes with --from SESSION.mcap, without U, V and --max-age, and writes JSON")
     clicks = read_clicks(args.batch)
     grid = grid_of(args)
-    clicker = Clicker(RecordedSource(args.recording, args.vehicle), math.inf)
-    for click in clicks:
-        mark = Mark.of_answer(_answered(clicker, click), (click.u_px, click.v_px))
-        sys.stdout.write(FORMATS["json"].write([mark], grid))
+    with closing(RecordedSource(args.recording, args.vehicle)) as source:
+        clicker = Clicker(source, math.inf, is_measured=not args.interpolated)
+        for click in clicks:
+            mark = Mark.of_answer(_answered(clicker, click), (click.u_px, click.v_px))
+            sys.stdout.write(FORMATS["json"].write([mark], grid))
     return ANSWERED
 
 

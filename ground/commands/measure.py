@@ -6,13 +6,20 @@ import argparse
 import json
 import math
 import sys
+from contextlib import closing
 from functools import partial
 
 from contract.answer import Fix, Refusal
 from contract.errors import LinkError
 from contract.locate import Locator
 from ground.commands import ANSWERED, REFUSED
-from ground.commands.sources import Clicker, add_interpolated_argument, add_source_arguments, source_of
+from ground.commands.sources import (
+    Clicker,
+    Source,
+    add_interpolated_argument,
+    add_source_arguments,
+    source_of,
+)
 from ground.commands.values import age, finite, frame_number
 from ground.freshness import MAX_AGE_S
 from ground.link_options import UsageError
@@ -52,7 +59,8 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError("--frame2 needs --frame")
     if args.max_age is not None and args.frame is not None:
         raise UsageError("--max-age is about the newest picture: leave it out with --frame")
-    ends = _ends(args)
+    with closing(source_of(args)) as source:
+        ends = _ends(args, source)
     if isinstance(ends, int):
         return ends
     (first, one), (second, two) = ends
@@ -61,9 +69,8 @@ def run(args: argparse.Namespace) -> int:
     return ANSWERED
 
 
-def _ends(args: argparse.Namespace) -> tuple[End, End] | int:
+def _ends(args: argparse.Namespace, source: Source) -> tuple[End, End] | int:
     """Both clicks' answers, each with what gave it, or the exit status where one is refused. Raises PointclickError."""
-    source = source_of(args)
     usual_s = MAX_AGE_S if args.frame is None and not source.is_recorded else math.inf
     clicker = partial(Clicker, source, is_measured=not args.interpolated)
     one, first = clicker(usual_s if args.max_age is None else args.max_age).click(args.u1, args.v1, frame=args.frame)

@@ -7,6 +7,7 @@ import getpass
 import math
 import sys
 import time
+from contextlib import closing
 from pathlib import Path
 
 from contract.answer import Answer, Refusal
@@ -212,10 +213,10 @@ def _clicked(args: argparse.Namespace) -> PinClick | Refusal:
 
 def _answered(args: argparse.Namespace) -> tuple[Answer, Locator | None]:
     """Click the pixel in the picture named or the newest; the answer, and the locator that gave it."""
-    source = source_of(args)
-    max_age_s = MAX_AGE_S if args.frame is None and not source.is_recorded else math.inf
-    clicker = Clicker(source, max_age_s, is_measured=not args.interpolated)
-    return clicker.click(args.u, args.v, frame=args.frame)
+    with closing(source_of(args)) as source:
+        max_age_s = MAX_AGE_S if args.frame is None and not source.is_recorded else math.inf
+        clicker = Clicker(source, max_age_s, is_measured=not args.interpolated)
+        return clicker.click(args.u, args.v, frame=args.frame)
 
 
 def _print_pin(store: PinStore, pin: Pin) -> None:

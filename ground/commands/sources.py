@@ -7,21 +7,27 @@ import math
 import sys
 import time
 from dataclasses import replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from contract.answer import EXPLANATIONS, Answer, Fix, Refusal
+from contract.errors import InputError, LinkError, WireError
 from contract.feature_set import FeatureSet, Status
 from contract.locate import Locator
+from contract.recorded_pictures import PictureIndex
 from contract.topics import ANY_VEHICLE, DEFAULT_ENDPOINT, TIME_TOLERANCE_S
 from contract.wire.click_code import cut_name
 from ground.commands.warnings import Warnings
 from ground.dropped_messages import DroppedMessages
 from ground.freshness import Later, Reply, aged, too_old
 from ground.link_options import UsageError, add_tls_arguments, endpoint_of, tls_of
+from ground.onboard_program import pc_onboard
 from ground.recording import Recording
-from ground.unmeasured import NOT_TRIED
+from ground.unmeasured import MOST_CHARACTERS, NOT_TRIED
+
+if TYPE_CHECKING:
+    from ground.recording_server import RecordingServer
 
 NO_NAMES = "--file needs --from SESSION.mcap: picture names do not cross the link; use --frame or --time"
 
@@ -46,7 +52,7 @@ def add_interpolated_argument(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--interpolated",
         action="store_true",
-        help="do not have the aircraft measure a clicked pixel itself, which takes up to 0.5 s",
+        help="do not have a clicked pixel measured by itself, which takes up to 0.5 s",
     )
 
 
@@ -60,16 +66,39 @@ class Asked(NamedTuple):
 
 
 class RecordedSource:
-    """Pictures of a recording. Raises PointclickError for one that cannot be read, or for no such vehicle."""
+    """Pictures of a recording. Raises PointclickError for one that cannot be read, or for no such vehicle.
+
+    A pixel is measured in the pictures that the recording holds, by a program that is started for the first one.
+    """
 
     is_recorded = True
 
     def __init__(self, path: Path, vehicle: str | None) -> None:
+        self._path = path
         self.recording = opened(path)
         self.vehicle = vehicle_of(vehicle, self.recording.vehicles)
+        self._server: RecordingServer | None = None
+        self.untried = ""  # why the last pixel was not looked at
+
+    @cached_property
+    def measures(self) -> bool:
+        """Whether it holds pictures to measure a pixel in, and there is a program that does."""
+        if not PictureIndex(self._path).has_any(self.vehicle):
+            return False
+        try:
+            pc_onboard()
+        except InputError as error:
+            print(f"pc-ground: warning: clicks are answered between measured points: {error}", file=sys.stderr)
+            return False
+        return True
+
+    def close(self) -> None:
+        """End the program that measures."""
+        if self._server is not None:
+            self._server.close()
 
     def reply(self, asked: Asked) -> Reply:
-        """The set that is asked for, with its age. No pixel of it is measured."""
+        """The set that is asked for, with its age."""
         recording, vehicle, frame, unix_s = self.recording, self.vehicle, asked.frame, asked.unix_s
         later = None
         if asked.file is not None:
@@ -93,7 +122,21 @@ class RecordedSource:
                 return Reply(Refusal(Status.STARTING, vehicle=vehicle))
             if latest.frame != found.frame:
                 later = Later(latest.status, latest.frame, recording.age_s(latest))
-        return Reply(found, recording.age_s(found), later)
+        age_s = recording.age_s(found)
+        if asked.pixel is not None and found.is_ok and found.camera.contains(asked.pixel):
+            found = self._measured(found, asked.pixel)
+        return Reply(found, age_s, later)
+
+    def _measured(self, found: FeatureSet, uv_px: tuple[float, float]) -> FeatureSet:
+        from ground.recording_server import RecordingServer  # noqa: PLC0415  zenoh is loaded only where there is a link
+
+        if self._server is None:
+            self._server = RecordingServer(self._path)
+        try:
+            return self._server.measured(found, uv_px)
+        except (LinkError, WireError) as error:
+            self.untried = str(error)[:MOST_CHARACTERS]
+            return found
 
     def frame_of(self, picture: int | str) -> int | Refusal:
         """The number of a picture named by its number or by its file, with folders or without."""
@@ -116,11 +159,16 @@ class LinkSource:
     """Pictures of a live aircraft: each is asked for when it is wanted. Raises PointclickError."""
 
     is_recorded = False
+    measures = True
+    untried = NOT_TRIED
 
     def __init__(self, args: argparse.Namespace) -> None:
         self._tls = tls_of(args)
         self._endpoint = endpoint_of(args, self._tls)
         self._vehicle = args.vehicle
+
+    def close(self) -> None:
+        """Nothing stays open between questions."""
 
     def reply(self, asked: Asked) -> Reply:
         """The set that is asked for, with its age."""
@@ -153,19 +201,19 @@ Source = RecordedSource | LinkSource
 
 
 def source_of(args: argparse.Namespace) -> Source:
-    """The source that `--from` or `--connect` names. Raises PointclickError."""
+    """The source that `--from` or `--connect` names, to be closed. Raises PointclickError."""
     return RecordedSource(args.recording, args.vehicle) if args.recording else LinkSource(args)
 
 
 class Clicker:
     """Answers clicks on a source's pictures; a set that is clicked again is not solved again.
 
-    `is_measured`: the aircraft is asked to measure each clicked pixel by itself.
+    `is_measured`: each clicked pixel is measured by itself, where the source has who does.
     """
 
     def __init__(self, source: Source, max_age_s: float, *, is_measured: bool = False) -> None:
         self._source = source
-        self._is_measured = is_measured and not source.is_recorded
+        self._is_measured = is_measured and source.measures
         self._max_age_s = max_age_s
         self._solved = lru_cache(maxsize=64)(_solved)
 
@@ -186,7 +234,7 @@ class Clicker:
         locator = self._solved(_Known(found))
         answer = aged(locator.locate((u_px, v_px)), reply.age_s)
         if self._is_measured and found.clicked is None and isinstance(answer, Fix):
-            answer = replace(answer, unmeasured=NOT_TRIED)
+            answer = replace(answer, unmeasured=self._source.untried)
         return answer, locator
 
 

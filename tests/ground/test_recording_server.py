@@ -7,6 +7,7 @@ import os
 import signal
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from starlette.testclient import TestClient
 from contract.errors import InputError, LinkError
 from contract.feature_set import FeatureSet, Measured
 from ground import onboard_program
+from ground.__main__ import main
 from ground.pins.store import PinStore
 from ground.recording_server import RecordingServer
 from ground.web import serve
@@ -68,6 +70,31 @@ def test_a_recording_that_cannot_be_measured_in_gives_the_program_s_own_line(tmp
         server.measured(set_of(recording), ROOF)
 
 
+def test_the_commands_measure_in_a_recording_unless_interpolated_is_asked_for(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    where = ["--from", str(recording), "--frame", str(CLICKED), "--format", "json"]
+
+    def answer(*words: object, source: list[str] = where) -> dict[str, Any]:
+        assert main([*map(str, words), *source]) == 0
+        printed = capsys.readouterr()
+        assert printed.err == ""
+        found: dict[str, Any] = json.loads(printed.out)
+        return found
+
+    found = answer("click", *ROOF)
+    assert found["method"] == "measured" and found["above_ground_m"] == pytest.approx(8.0, abs=1.0)
+    assert answer("click", *ROOF, "--interpolated")["method"] == "interpolated"
+    assert answer("click", 3, 3)["unmeasured"] == "border"
+    height = answer("measure", 160, 130, *ROOF)
+    assert height["height_difference_m"] == pytest.approx(8.0, abs=0.4) and height["to"]["method"] == "measured"
+    clicks = tmp_path / "clicks.csv"
+    clicks.write_text(f"frame,u,v\n{CLICKED},{ROOF[0]},{ROOF[1]}\n")
+    assert answer("click", "--batch", clicks, source=["--from", str(recording)])["method"] == "measured"
+    plain = recorded(tmp_path / "none.mcap", pictures="none")
+    assert "unmeasured" not in answer("click", *ROOF, source=["--from", str(plain), *where[2:]])
+
+
 def test_the_page_s_pin_of_a_recording_is_measured_and_without_the_program_one_line_says_what_would(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -93,4 +120,8 @@ def test_the_page_s_pin_of_a_recording_is_measured_and_without_the_program_one_l
     bare = RecordedSource(recording)
     serve._have_measured(bare, recording)
     assert not bare.measures
-    assert "clicks are answered between measured points: pc-onboard is not installed" in capsys.readouterr().err
+    line = "clicks are answered between measured points: pc-onboard is not installed"
+    assert line in capsys.readouterr().err
+    assert main(["click", *map(str, ROOF), "--from", str(recording)]) == 0
+    printed = capsys.readouterr()
+    assert line in printed.err and "interpolated" in printed.out

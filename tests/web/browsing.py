@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import Any
 
-from tests.waiting import PATIENCE_S
+from tests.waiting import PATIENCE_S, eventually
 from tests.web.served import Server, Simulated
 
 LAPTOP = {"width": 1280, "height": 800}
@@ -84,9 +84,19 @@ class Operator:
         return self.page.request.get(self.server.local + path).json()
 
     def newest_pin(self) -> dict[str, Any]:
-        """As the server has it."""
-        pin: dict[str, Any] = max(self.ask("api/pins")["pins"], key=lambda pin: pin["number"])
-        return pin
+        """As the server has it, once its last click is measured, or is not for a reason."""
+        is_measured = self.ask("api/status")["measures"]
+
+        def newest() -> dict[str, Any]:
+            pin: dict[str, Any] = max(self.ask("api/pins")["pins"], key=lambda pin: pin["number"])
+            return pin
+
+        def is_settled() -> bool:
+            click = newest()["clicks"][-1]
+            return click["u_px"] is None or click["method"] == "measured" or bool(click["unmeasured"])
+
+        assert not is_measured or eventually(is_settled)
+        return newest()
 
     def frame(self) -> int:
         """The number of the picture that is shown."""

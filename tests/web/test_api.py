@@ -71,7 +71,7 @@ def test_a_click_is_answered_as_on_the_command_line(api: Api, simulated: Simulat
         printed = api.client.post("/api/click", json=api.click(u, v, frame))
         command = [sys.executable, "-m", "ground", "click", str(u), str(v), "--frame", str(frame)]
         done = subprocess.run(
-            [*command, "--from", simulated.path, "--format", "json"],
+            [*command, "--from", simulated.path, "--format", "json", "--interpolated"],
             capture_output=True, text=True, check=False, cwd=ROOT, timeout=60,
         )  # fmt: skip
         assert printed.status_code == 200
