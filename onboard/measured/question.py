@@ -15,7 +15,7 @@ from onboard.events.kept_pictures import KEPT_BYTES, Grey, Pictured
 from onboard.measured.matching import Match
 from onboard.measured.measuring import Sought, measure
 from onboard.measured.patches import Patch
-from onboard.measured.views import Features, View, pixels, relative_pose, view_of
+from onboard.measured.views import Features, View, pixels, reach_px, relative_pose, view_of
 
 Array = NDArray[np.float64]
 
@@ -101,7 +101,8 @@ def _view(asked: FeatureSet, image: Grey, other: Pictured, features: Features) -
     there = other.image
     if there is None or there.shape != image.shape:
         return None
-    return view_of(image, features, there, other.its_set, relative_pose(asked, other.its_set))
+    start = relative_pose(asked, other.its_set)
+    return view_of(image, features, there, other.its_set, start, reach_px(asked, other.its_set))
 
 
 def identity(of: FeatureSet) -> tuple[int, int]:

@@ -6,6 +6,7 @@ features has the errors that they have in common.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -22,9 +23,11 @@ from onboard.geometry.plane_homography import fit_homography, move
 Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]
 
-WINDOW_PX, LEVELS = 15, 1
+WINDOW_PX = 15
 EDGE_PX = 8.0
-MAX_MISS_PX = 12.0  # of a feature found again against the pose that the sets give
+# How far a feature found again may be from where the pose that the sets give has it: so many sigmas of both poses, at
+# least so many pixels, and at most so much of the picture's width.
+REACH, LEAST_REACH_PX, MOST_REACH = 3.0, 12.0, 0.06
 LEAST_FEATURES = 12
 LEAST_SHARE = 0.4  # of the features found again that a pose must explain
 PRIOR_SIGMA_PX = 0.3  # of a feature found again, at first
@@ -93,11 +96,18 @@ def pixels(camera: Camera, directions: Array) -> Array:
 
 
 def view_of(
-    image: Grey, features: Features, other_image: Grey, other: FeatureSet, start: tuple[Array, Array]
+    image: Grey,
+    features: Features,
+    other_image: Grey,
+    other: FeatureSet,
+    start: tuple[Array, Array],
+    reach_px: float = LEAST_REACH_PX,
 ) -> View | None:
-    """Find the features again in another picture, and from them its pose. (29.2), None where too few are found."""
+    """Find the features again in another picture, within `reach_px` of where `start` has them, and from them its pose.
+    (29.2), None where too few are found.
+    """
     camera = other.camera
-    found, kept = _found(image, features.uv_px, other_image, pixels(camera, _seen(*start, features)))
+    found, kept = _found(image, features.uv_px, other_image, pixels(camera, _seen(*start, features)), reach_px)
     rays, valid = camera.unproject(found)
     kept = kept & valid
     if np.count_nonzero(kept) < LEAST_FEATURES:
@@ -182,7 +192,20 @@ def _seen(R: Array, centre_m: Array, features: Features) -> Array:
     return np.asarray((features.rays - features.inverse_depth_per_m[:, None] * centre_m) @ R.T, float)
 
 
-def _found(image: Grey, at: Array, other: Grey, start: Array) -> tuple[Array, NDArray[np.bool_]]:
+def reach_px(clicked: FeatureSet, other: FeatureSet) -> float:
+    """Return how far off pixels may be by what both sets state of their poses' errors, as if these had none in common:
+    those of one window have most, and then less is looked for in vain.
+    """
+    w = float(clicked.plane_per_m[0])
+    variance = sum(
+        np.linalg.norm(s.common_cov[3:6, 3:6], 2) + w * w * np.linalg.norm(s.common_cov[:3, :3], 2)
+        for s in (clicked, other)
+    )
+    reach = REACH * clicked.camera.focal_px * float(np.sqrt(variance))
+    return max(LEAST_REACH_PX, min(reach, MOST_REACH * clicked.camera.width_px))
+
+
+def _found(image: Grey, at: Array, other: Grey, start: Array, reach_px: float) -> tuple[Array, NDArray[np.bool_]]:
     """Return pixels (N, 2) in another picture, and which of them were found near where they were expected.
 
     The other picture is first taken back by the homography that is expected: LK knows shifts alone.
@@ -194,12 +217,13 @@ def _found(image: Grey, at: Array, other: Grey, start: Array) -> tuple[Array, ND
     H = fit_homography(at[inside], start[inside], np.ones(np.count_nonzero(inside)))
     back = cv2.warpPerspective(other, H, image.shape[::-1], flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
     expected = np.where(inside[:, None], move(np.asarray(np.linalg.inv(H), float), start), at)
+    levels = math.ceil(math.log2(2.0 * reach_px / WINDOW_PX))  # of halved pictures, until the window holds the reach
     criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 12, 0.01)
     moved, is_found, _ = cv2.calcOpticalFlowPyrLK(
         image, back, at.astype(np.float32).reshape(-1, 1, 2), expected.astype(np.float32).reshape(-1, 1, 2),
-        winSize=(WINDOW_PX, WINDOW_PX), maxLevel=LEVELS, criteria=criteria, flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+        winSize=(WINDOW_PX, WINDOW_PX), maxLevel=levels, criteria=criteria, flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
     )  # fmt: skip
-    near = np.linalg.norm(moved.reshape(-1, 2) - expected, axis=1) < MAX_MISS_PX
+    near = np.linalg.norm(moved.reshape(-1, 2) - expected, axis=1) < reach_px
     found = move(H, moved.reshape(-1, 2).astype(float))
     inside &= (found > EDGE_PX).all(axis=1) & (found < np.subtract(size, EDGE_PX + 1.0)).all(axis=1)
     return found, inside & near & (is_found.ravel() == 1)

@@ -2,11 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from contract.rotations import exp_so3
-from onboard.measured.views import Features, linearised, pixels, relative_pose, resect, view_of
+from onboard.measured.views import (
+    LEAST_REACH_PX,
+    Features,
+    linearised,
+    pixels,
+    reach_px,
+    relative_pose,
+    resect,
+    view_of,
+)
 from tests.onboard.measured.step_world import CAMERA, CLICKED, World
 
 
@@ -81,6 +92,25 @@ def test_a_view_is_mended_by_the_features_to_a_fraction_of_a_pixel() -> None:
 
     assert off(*start) > 0.5
     assert off(view.R, view.centre_m) < 0.15
+
+
+def test_a_pose_that_is_far_off_is_mended_as_far_as_the_sets_state_that_it_may_be() -> None:
+    """Two pictures of windows whose attitudes differ by two degrees, of which the sets state one each."""
+    world = World(seed=3)
+    clicked, other = world.kept(CLICKED), world.kept(1)
+    R, centre = relative_pose(clicked.its_set, other.its_set)
+    off = exp_so3(np.array([0.0, np.radians(2.0), 0.0])) @ R, centre
+    features = Features.of(clicked.its_set)
+    states = np.diag([0.5, 0.5, 0.8, *np.radians([1.0, 1.0, 1.0]), 1e-3, 1e-3, 1e-3]) ** 2
+    sets = [replace(kept.its_set, common_cov=states) for kept in (clicked, other)]
+    reach = reach_px(*sets)
+    assert 3.0 * 300.0 * np.radians(1.0) * np.sqrt(2.0) * 0.8 < reach <= 0.06 * 320.0 * 1.001
+    assert reach_px(clicked.its_set, other.its_set) == LEAST_REACH_PX
+    found = view_of(clicked.image, features, other.image, other.its_set, off, reach)
+    plain = view_of(clicked.image, features, other.image, other.its_set, (R, centre))
+    assert found is not None and plain is not None
+    assert np.abs(found.R - plain.R).max() < 5e-4
+    assert view_of(clicked.image, features, other.image, other.its_set, off) is None
 
 
 def test_without_features_in_common_there_is_no_view() -> None:
