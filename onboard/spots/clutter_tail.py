@@ -14,6 +14,8 @@ Array = NDArray[np.float64]
 LARGEST = 100  # contrasts of a picture
 FITTED, FITTED_KM2 = 40, 1000.0  # that the tail is fitted to: at least so many, and so many a square kilometre
 LEAST_PEAKS = 20
+UNLIKELY = 20.0  # flights like this one, in less than one of which a single contrast of the ground is so large
+CROWDED = 0.25  # of the pictures, those with the most such contrasts, in which these are things and no ground
 CENSORED = 0.1  # of them, the largest, which may be what is looked for: only that they are large is used
 SHAPE, SHAPE_SIGMA = 0.1, 0.03  # of the tail: rather heavier than an exponential, as far as that is not known
 _SHAPES = np.linspace(-0.4, 0.4, 34)  # without 0
@@ -43,15 +45,38 @@ class ClutterTail:
         return self._threshold
 
     def _fitted(self) -> float:
-        peaks = np.sort(np.concatenate(self._contrasts))[::-1] if self._contrasts else np.zeros(0)
+        peaks = self._of_ground()
         allowed = self._rate * self.ground.km2
-        wanted = max(FITTED, FITTED_KM2 * self.ground.km2, 4.0 * allowed)
-        count = min(int(np.ceil(wanted)), len(peaks)) - 1
+        count = min(self._wanted(), len(peaks)) - 1
         if count < LEAST_PEAKS:
             return float("inf")
         base = float(peaks[count])
         shape, scale = _fit(peaks[:count] - base)
         return base + scale * float(np.expm1(shape * np.log(max(count / allowed, 1.0)))) / shape
+
+    def _wanted(self) -> int:
+        """Return how many of the largest contrasts the tail is fitted to."""
+        return int(np.ceil(max(FITTED, FITTED_KM2 * self.ground.km2, 4.0 * self._rate * self.ground.km2)))
+
+    def _of_ground(self) -> Array:
+        """Return the contrasts (N,), largest first, without things that are together in a few pictures. (25.6a)
+
+        Where such contrasts are all over the pictures they are ground all the same: rocks.
+        """
+        if not self._contrasts:
+            return np.zeros(0)
+        every = np.sort(np.concatenate(self._contrasts))[::-1]
+        fitted = every[: self._wanted()]
+        if len(fitted) <= LEAST_PEAKS:
+            return every
+        base = float(fitted[-1])
+        scale = (float(np.median(fitted)) - base) * SHAPE / float(2.0**SHAPE - 1.0)
+        most = base + scale * float((len(fitted) * UNLIKELY) ** SHAPE - 1.0) / SHAPE
+        beyond = [int(np.count_nonzero(c > most)) for c in self._contrasts]
+        crowded = np.argsort(beyond)[::-1][: int(np.ceil(CROWDED * len(beyond)))]
+        left_out = np.concatenate([self._contrasts[k][: beyond[k]] for k in crowded])
+        out: Array = every[~np.isin(every, left_out)]
+        return out
 
 
 def _fit(excess: Array) -> tuple[float, float]:

@@ -95,6 +95,18 @@ def test_what_is_in_one_picture_alone_is_not_reported() -> None:
         assert report is not None and not report.spots
 
 
+def test_a_team_at_take_off_hides_nobody_farther_on() -> None:
+    """Nine people within 4 ha, then one 180 m on: all are found."""
+    rng = np.random.default_rng(4)
+    team = [(float(east), float(north)) for east, north in rng.uniform((-25.0, -15.0), (25.0, 45.0), (9, 2))]
+    scene = Scene(
+        replace(CALM, sources=tuple(HeatSource.person(place) for place in [*team, (5.0, 180.0)])), step_m=20.0
+    )
+    reports = simulated(scene, range(12))
+    found = [min(off_m(report, place) for report in reports) < 1.0 for place in [*team, (5.0, 180.0)]]
+    assert sum(found[:-1]) >= 7 and found[-1]
+
+
 def test_without_a_place_a_spot_says_why_in_the_words_of_a_click() -> None:
     scene, book = Scene(CALM), SpotBook("uav-1", SpotsConfig(), CALIBRATED)
     for k in range(3):
