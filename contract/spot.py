@@ -10,6 +10,7 @@ from enum import Enum
 from contract.answer import CONFIDENCE, EXPLANATIONS, Place, rounded, time_utc
 from contract.feature_set import Status
 
+PERSON_K = 8.0  # above the ground, of a person who is looked for, as the camera sees it: through the air
 MOST_SPOTS = 6  # that a packet holds, with room for outlines
 
 
@@ -95,13 +96,19 @@ def likely_text(kind: ThingKind | None, probability: float | None) -> str:
     return f"{word}, {min(max(round(100.0 * probability), 1), 99)} % likely, "
 
 
+def person_text(share: float) -> str:
+    """On how much of the ground in view a person would be found, for people."""
+    return f"a person ({PERSON_K:g} K warmer) would be found on {math.floor(100.0 * share)} % of the ground in view"
+
+
 @dataclass(frozen=True)
 class SpotReport:
     """All spots of a picture, the most significant first; `more` were found and are not in the report.
 
     `picture_share` and `session_share` are shares of the spots' horizontal variance: what all spots of this picture
     have in common, and what (of that) those of the session's other pictures have too. The first does not become less by
-    the picture's other spots, the second not by other pictures of the same spot.
+    the picture's other spots, the second not by other pictures of the same spot. `person_found`: the share of the
+    picture's ground on which a person, PERSON_K warmer than it, would be found; None where it is not known.
     """
 
     session: int
@@ -113,6 +120,7 @@ class SpotReport:
     picture_share: float = 0.0
     session_share: float = 0.0
     vehicle: str = ""
+    person_found: float | None = None
 
     def to_json(self) -> str:
         return json.dumps(
@@ -120,7 +128,8 @@ class SpotReport:
                 "vehicle": self.vehicle or None, "frame": self.frame, "time_utc": time_utc(self.capture_unix_ns),
                 "is_calibrated": self.is_calibrated,
                 "picture_share": rounded(self.picture_share), "session_share": rounded(self.session_share),
-                "more": self.more, "spots": [spot.to_dict() for spot in self.spots],
+                "person_found": rounded(self.person_found), "more": self.more,
+                "spots": [spot.to_dict() for spot in self.spots],
             }
         )  # fmt: skip
 
@@ -129,5 +138,6 @@ class SpotReport:
         count = f"{len(self.spots)} spots" if len(self.spots) != 1 else "1 spot"
         more = f" and {self.more} more" if self.more else ""
         scale = "" if self.is_calibrated else ", uncalibrated"
+        scale += "" if self.person_found is None else f", {person_text(self.person_found)}"
         head = f"{count}{more}{scale}  frame {self.frame} at {time_utc(self.capture_unix_ns)}"
         return "\n  ".join([head, *(spot.to_text() for spot in self.spots)])

@@ -16,7 +16,7 @@ from contract.wire.small_packet import HEIGHT_STEP_M, first_byte, heights_of
 
 MAJOR, MAX_SPOT_BYTES = 1, 200
 KIND = MAJOR << 4 | 1
-IS_CALIBRATED, HAS_PLACES, HAS_ELLIPSOID, HAS_AMSL, HAS_KINDS = 1, 2, 4, 8, 16
+IS_CALIBRATED, HAS_PLACES, HAS_ELLIPSOID, HAS_AMSL, HAS_KINDS, HAS_PERSON = 1, 2, 4, 8, 16, 32
 IS_COLD, IS_CUT, STATUS_MASK = 0x40, 0x80, 0x3F
 DEGREE, TIME_STEP_NS, PIXEL_STEP, SHARE_STEP = 1e-9, 10_000, 1.0 / 8.0, 1.0 / 255.0
 TEMPERATURE_STEP_C, ANGLE_STEP_DEG = 0.05, 180.0 / 256.0
@@ -44,19 +44,20 @@ def encode_spots(report: SpotReport) -> bytes:
     placed = [spot.place for spot in kept if spot.place is not None]
     has_kinds = any(spot.kind is not None for spot in kept)
     flags = r.is_calibrated * IS_CALIBRATED | bool(placed) * HAS_PLACES | has_kinds * HAS_KINDS
+    flags |= (r.person_found is not None) * HAS_PERSON
     try:
-        body = b""
+        body = b"" if r.person_found is None else bytes([_share(r.person_found)])
         if placed:
             first = placed[0]
             flags |= (first.height_ellipsoid_m is not None) * HAS_ELLIPSOID
             flags |= (first.height_amsl_m is not None) * HAS_AMSL
             exponent = _exponent(placed)
-            body = _reference(first, exponent)
+            body += _reference(first, exponent)
             step = OFFSET_STEP_DEG * 2.0**exponent
         more = min(max(r.more + len(r.spots) - len(kept), 0), 255)
         head = _HEAD.pack(
             KIND, flags, r.session, r.frame, round(r.capture_unix_ns / TIME_STEP_NS).to_bytes(6, "little"), len(kept),
-            more, *(round(min(max(share, 0.0), 1.0) / SHARE_STEP) for share in (r.picture_share, r.session_share)),
+            more, _share(r.picture_share), _share(r.session_share),
         )  # fmt: skip
         parts = [_spot(spot, r.is_calibrated) + (_kind(spot) if has_kinds else b"") for spot in kept]
         size = len(head) + len(body) + sum(map(len, parts)) + _PLACE.size * len(placed)
@@ -77,17 +78,23 @@ def decode_spots(payload: bytes, vehicle: str = "") -> SpotReport:
     if len(payload) < _HEAD.size:
         raise TruncatedPayload(f"{len(payload)} bytes")
     _, flags, session, frame, time, count, more, *shares = _HEAD.unpack_from(payload)
-    if flags > 31 or count > MOST_SPOTS or len(payload) > MAX_SPOT_BYTES:
+    if flags > 63 or count > MOST_SPOTS or len(payload) > MAX_SPOT_BYTES:
         raise CorruptPayload(f"{count} spots with flags {flags:#x} in {len(payload)} bytes")
     cursor = ByteCursor(payload, _HEAD.size, len(payload))
+    person = cursor.take(1)[0] * SHARE_STEP if flags & HAS_PERSON else None
     reference, step = _read_reference(cursor, flags) if flags & HAS_PLACES else (None, 0.0)
     spots = tuple(_read_spot(cursor, flags, reference, step) for _ in range(count))
     if cursor.position != len(payload):
         raise CorruptPayload(f"{len(payload) - cursor.position} bytes too many")
     return SpotReport(
         session, frame, int.from_bytes(time, "little") * TIME_STEP_NS, bool(flags & IS_CALIBRATED), spots, more,
-        shares[0] * SHARE_STEP, shares[1] * SHARE_STEP, vehicle,
+        shares[0] * SHARE_STEP, shares[1] * SHARE_STEP, vehicle, person,
     )  # fmt: skip
+
+
+def _share(share: float) -> int:
+    """0 to 255."""
+    return round(min(max(share, 0.0), 1.0) / SHARE_STEP)
 
 
 def _code(value: float, scale: tuple[float, float]) -> int:

@@ -32,6 +32,8 @@ class Contrast:
     background: Image
     excess: Image  # smoothed at the thing's size
     in_clutter: Image
+    clutter: Image  # (h, w), of each part of the picture
+    is_ground: Mask  # likewise
 
     @property
     def size_px(self) -> tuple[int, int]:
@@ -55,9 +57,10 @@ def contrast(values: Image, is_ground: Mask, side_m: float, pixel_m: float) -> C
     local = np.sqrt(np.asarray(cv2.medianBlur(power, WINDOW), np.float32))
     ground = _stretched(is_ground.astype(np.float32), local) > 0.5
     floor = max(LEAST_SHARE * float(np.median(local[ground] if ground.any() else local)), 1e-6)
-    in_clutter = excess / _stretched(np.maximum(local, np.float32(floor)), values)
+    local = np.maximum(local, np.float32(floor))
+    in_clutter = excess / _stretched(local, values)
     in_clutter[_stretched(is_ground.astype(np.float32), values) < 0.99] = 0.0
-    return Contrast(side_m, times, values, background, excess, in_clutter)
+    return Contrast(side_m, times, values, background, excess, in_clutter, local, ground)
 
 
 def in_picture(values: Image, is_ground: Mask) -> tuple[Image, float]:

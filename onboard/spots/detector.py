@@ -14,6 +14,7 @@ from onboard.spots.clutter_tail import LARGEST, ClutterTail
 from onboard.spots.contrast import Contrast, Image, contrast, in_picture
 from onboard.spots.ground_scale import USUAL_M, GroundScale, ground_scale, usual_scale
 from onboard.spots.regions import MOST_REGIONS, Part, Region, about_peak, above, peaks, region_of
+from onboard.spots.would_find import share_found
 
 Array = NDArray[np.float64]
 
@@ -38,6 +39,8 @@ class Detector:
         octaves = max(int(np.ceil(np.log2(config.largest_m / smallest))), 1)
         self.tails = {smallest * 2.0**k: ClutterTail(config.false_per_km2 / octaves) for k in range(octaves)}
         self._pixel_m = 0.0  # of the newest picture with a scale
+        self.person_found: float | None = None
+        """The share of the newest picture's ground on which a person would be found; None where it is not known."""
 
     def look(self, counts: NDArray[np.uint16], its_set: FeatureSet, place_m: Array) -> list[Region]:
         """Return the regions of counts (H, W) that stand out, the most significant first.
@@ -51,17 +54,22 @@ class Detector:
         pixel_m = self._pixel_m or USUAL_M / its_set.camera.fx_px
         values = counts.astype(np.float32) if self._scale is None else self._scale.kelvin(counts)
         found = self._large(values, used, pixel_m)
+        contrasts = []
         for side_m, tail in self.tails.items():
             if 2.0 * side_m < LEAST_PX * pixel_m:
                 continue
             c = contrast(values, used.is_ground, side_m, pixel_m)
             if ground is not None:
                 self._learn(c, tail, ground, place_m, pixel_m)
+            contrasts.append(c)
             must = tail.threshold
             for size, part in self._small(c, pixel_m, must, MOST_REGIONS):
                 region = region_of(c, part, size)
                 if region is not None:
                     found.append(replace(region, significance=region.contrast / max(must, 1e-6)))
+        is_known = self._scale is not None and ground is not None
+        thresholds = {side_m: tail.threshold for side_m, tail in self.tails.items()}
+        self.person_found = share_found(contrasts, thresholds, pixel_m) if is_known else None
         return apart(sorted(found, key=lambda region: -region.significance))
 
     def _learn(self, c: Contrast, tail: ClutterTail, ground: GroundScale, place_m: Array, pixel_m: float) -> None:

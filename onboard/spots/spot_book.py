@@ -93,7 +93,7 @@ class SpotBook:
         picture, session = shares([one.fix for one in shown if one.fix], s, [one.pointed_m for one in shown])
         return SpotReport(
             s.session, s.frame, s.capture_unix_ns, self._thermal.calibration is not None,
-            tuple(one.spot for one in kept), 0, picture, session, self._vehicle,
+            tuple(one.spot for one in kept), 0, picture, session, self._vehicle, self._detector.person_found,
         )  # fmt: skip
 
     def _seen_things(self, counts: NDArray[np.uint16], locator: Locator) -> list[tuple[Region, ThingSeen]]:

@@ -77,7 +77,7 @@ def reports(draw: st.DrawFn) -> SpotReport:
     return SpotReport(
         draw(st.integers(0, 2**32 - 1)), draw(st.integers(0, 2**32 - 1)), draw(st.integers(0, 2**60)), is_calibrated,
         tuple(spots), draw(st.integers(0, 300)), draw(st.floats(0.0, 1.0)),
-        draw(st.floats(0.0, 1.0)),
+        draw(st.floats(0.0, 1.0)), person_found=draw(st.none() | st.floats(0.0, 1.0)),
     )  # fmt: skip
 
 
@@ -98,6 +98,7 @@ def test_a_report_is_read_back_from_200_bytes_or_fewer(report: SpotReport) -> No
     assert found.more == min(report.more + len(report.spots) - len(kept), 255)
     assert is_like(found.picture_share, report.picture_share, within=0.002)
     assert is_like(found.session_share, report.session_share, within=0.002)
+    assert is_like(found.person_found, report.person_found, within=0.002)
     for one, other in zip(found.spots, kept, strict=True):
         assert (one.status, one.is_cut, one.kind) == (other.status, other.is_cut, other.kind)
         assert is_like(one.log_odds, min(max(other.log_odds, -15.875), 15.875), within=0.0626)
@@ -137,6 +138,11 @@ def test_what_a_net_takes_a_spot_for_is_two_bytes_more_of_each_spot_and_nothing_
     for kind, steps, error in [(4, 0, NewerPayload), (0, 1, CorruptPayload), (1, 128, CorruptPayload)]:
         with pytest.raises(error):
             decode_spots(b[:47] + bytes([kind, steps]) + b[49:])
+
+
+def test_what_would_be_found_is_a_byte_behind_the_head() -> None:
+    plain, b = encode_spots(REPORT), encode_spots(replace(REPORT, person_found=0.96))
+    assert b[1] == plain[1] | 0x20 and b[20] == round(0.96 * 255) and b[2:20] + b[21:] == plain[2:]
 
 
 def test_the_bytes_are_those_of_the_document() -> None:
