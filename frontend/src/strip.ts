@@ -69,6 +69,7 @@ function figures(v: VehicleState): string {
   if (v.is_live) parts.push(v.is_lost ? `lost ${age(v.heard_age_s)} ago` : `picture ${age(v.picture_age_s)} old`);
   if (v.ce90_centre_m !== null) parts.push(`${within(v.ce90_centre_m)} at the centre`);
   if (v.sets_hz !== null && !v.is_lost) parts.push(`${v.sets_hz.toFixed(1)} /s, ${v.kbit_s ?? 0} kbit/s`);
+  if (v.person_found !== null) parts.push(`a person would be found on ${Math.floor(100 * v.person_found)} %`);
   parts.push(`${v.tracks ?? v.features} points`);
   if (v.cpu_c !== null) parts.push(`computer ${v.cpu_c.toFixed(0)} °C`);
   if (v.recording === true) parts.push("recording");

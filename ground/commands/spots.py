@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from contract.geodesy import metres_per_degree
-from contract.spot import SpotReport
+from contract.spot import SpotReport, person_text
 from contract.topics import ANY_VEHICLE, SPOTS
 from contract.wire.message import SPOT_REPORTS
 from ground.commands import ANSWERED, REFUSED
@@ -77,6 +77,8 @@ def run(args: argparse.Namespace) -> int:
         save(args.save, FORMATS[SAVED[args.save.suffix.lower()]].write([Mark.of_found(thing) for thing in found], None))
     if received.unplaced:
         print(f"spots without a place, where a click has no answer either: {received.unplaced}", file=sys.stderr)
+    if received.mean_person_found is not None:
+        print(f"in the mean of {received.pictures} pictures {person_text(received.mean_person_found)}", file=sys.stderr)
     if not found:
         print(f"no hot spot found; pictures searched: {received.pictures}", file=sys.stderr)
         return REFUSED

@@ -12,12 +12,13 @@ import threading
 import time
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from contract.error_sources import in_a_line
 from contract.errors import WireError
 from contract.feature_set import FeatureSet
 from contract.locate import Locator
+from contract.spot import person_text
 from contract.topics import ANY_VEHICLE, STATUS
 from contract.track import TrackReport, Unseen
 from contract.track_age import as_of
@@ -67,6 +68,7 @@ class Row:
     frame: int | None
     cpu_c: float | None
     radius: str = ""  # what the ellipse is mostly from, and what would make it smaller; empty: not known
+    person_found: float | None = None  # share of the ground in view on which the search for heat finds a person
 
     def to_json(self) -> str:
         """One line."""
@@ -74,12 +76,14 @@ class Row:
         return json.dumps({k: round(v, digits.get(k, 3)) if isinstance(v, float) else v for k, v in vars(self).items()})
 
     def cells(self) -> tuple[str, ...]:
+        """Return the columns of its line in the table."""
+        searched = "" if self.person_found is None else person_text(self.person_found)
         return (
             one_line(self.vehicle), one_line(self.state), "-" if self.age_s is None else span(self.age_s),
             "-" if self.rate_hz is None else f"{self.rate_hz:.1f}/s",
             "-" if self.lat_deg is None else f"{self.lat_deg:.5f} {self.lon_deg:.5f}",
             "-" if self.tracks is None else str(self.tracks), "-" if self.ce90_m is None else f"{self.ce90_m:.1f} m",
-            one_line("; ".join(text for text in (self.reason, self.radius) if text)),
+            one_line("; ".join(text for text in (self.reason, self.radius, searched) if text)),
         )  # fmt: skip
 
 
@@ -100,6 +104,7 @@ def run(args: argparse.Namespace) -> int:
         followed = [report for name in names for report in _last_followed(recording, name)]
         found = ReceivedSpots()
         found.read(recording, names)
+        rows = [replace(row, person_found=found.person_found(row.vehicle)) for row in rows]
         _show(rows, [*followed, *_recent(found)], args.json, False)
         return ANSWERED
     from ground.client import SetCache  # noqa: PLC0415  zenoh is loaded only where there is a link
@@ -131,6 +136,7 @@ def run(args: argparse.Namespace) -> int:
                 rows.append(_row(name, newest, state, age_s, rate_hz, amiss, cache.is_certain(name)))
             if not rows and not args.json:
                 print(f"nothing received yet{f': {cache.link_error}' if cache.link_error else ''}", file=sys.stderr)
+            rows = [replace(row, person_found=found.person_found(row.vehicle)) for row in rows]
             _show(rows, [*tracks.newest(cache.stamped_ago_s), *_recent(found)], args.json, is_screen)
             warnings.show(cache.dropped.lines(), always=is_screen)
             shown += 1

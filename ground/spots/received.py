@@ -22,6 +22,8 @@ class ReceivedSpots(ReportView[SpotReport]):
         self._merger = SpotMerger()
         self._fire = FireGround()
         self._changed: dict[int, int] = {}  # by thing, the version at which it changed last
+        self._person_found: dict[str, float | None] = {}  # by vehicle, of its newest picture
+        self._shares = 0.0, 0  # sum and number, of all pictures
         self._version = 0
         self._lock = threading.Lock()
 
@@ -31,6 +33,9 @@ class ReceivedSpots(ReportView[SpotReport]):
             for report in sorted(reports, key=lambda report: report.capture_unix_ns):
                 self._version += 1
                 self._fire.add(report)
+                self._person_found[report.vehicle] = share = report.person_found
+                if share is not None:
+                    self._shares = self._shares[0] + share, self._shares[1] + 1
                 for thing in self._merger.add(report):
                     self._changed[thing.number] = self._version
 
@@ -48,6 +53,18 @@ class ReceivedSpots(ReportView[SpotReport]):
     def pictures(self) -> int:
         with self._lock:
             return self._merger.pictures
+
+    def person_found(self, vehicle: str) -> float | None:
+        """The share of the ground of a vehicle's newest picture on which a person would be found; None: not known."""
+        with self._lock:
+            return self._person_found.get(vehicle)
+
+    @property
+    def mean_person_found(self) -> float | None:
+        """The same of all pictures, in the mean; None if it is known of none."""
+        with self._lock:
+            total, count = self._shares
+            return total / count if count else None
 
     def since(self, version: int) -> tuple[int, list[FoundThing]]:
         """The version now, and the things that are new or have changed since another; by number."""

@@ -192,6 +192,7 @@ def vehicle_json(context: ServerContext, vehicle: str) -> dict[str, Any]:
         "recording": None if status is None else status.recording,
         "trouble": report.trouble,
         "unfollowed": context.source.unfollowed(vehicle),
+        "person_found": context.source.views.spots.person_found(vehicle),
         "radius": "" if status is None else in_a_line(status.fractions),
     }
 

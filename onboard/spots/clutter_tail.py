@@ -59,7 +59,7 @@ class ClutterTail:
         return int(np.ceil(max(FITTED, FITTED_KM2 * self.ground.km2, 4.0 * self._rate * self.ground.km2)))
 
     def _of_ground(self) -> Array:
-        """Return the contrasts (N,), largest first, without things that are together in a few pictures. (25.6a)
+        """Return the contrasts (N,), largest first, without things that are together in a few pictures. (25.21)
 
         Where such contrasts are all over the pictures they are ground all the same: rocks.
         """

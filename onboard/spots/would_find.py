@@ -1,4 +1,4 @@
-"""The share of a picture's ground on which a person would be found now. (25.21)"""
+"""The share of a picture's ground on which a person would be found now. (25.22)"""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from onboard.spots.regions import LENS_PX
 Array = NDArray[np.float64]
 
 PERSON_M2 = 0.25  # of who is looked for; `contract.spot.PERSON_K` above the ground
-FINER = 8  # parts to the side of a pixel, of which a person's picture is drawn
+FINER = 8  # parts to the side of a pixel, of which a person's picture is made
 PLACES = 2  # to the side of a pixel, at which a person may stand in it
-SIDE_PX = 96  # of the picture that is drawn
-PIXEL_STEP = 0.05  # by which pixels are told apart, of their size
+SIDE_PX = 96  # of that picture
+PIXEL_STEP = 0.05  # of a pixel, by which sizes differ that are computed by themselves
 
 
 def share_found(contrasts: Sequence[Contrast], thresholds: Mapping[float, float], pixel_m: float) -> float:

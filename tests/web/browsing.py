@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from typing import Any
 
+from ground.pins.machine import FOUND
 from tests.waiting import PATIENCE_S, eventually
 from tests.web.served import Server, Simulated
 
@@ -93,7 +94,7 @@ class Operator:
 
         def is_settled() -> bool:
             click = newest()["clicks"][-1]
-            return click["u_px"] is None or click["method"] == "measured" or bool(click["unmeasured"])
+            return click["u_px"] is None or click["method"] in ("measured", FOUND) or bool(click["unmeasured"])
 
         assert not is_measured or eventually(is_settled)
         return newest()

@@ -45,7 +45,7 @@ def report(frame: int, count: int = 2, vehicle: str = VEHICLE) -> SpotReport:
         )
         named = (ThingKind.PERSON, 2.2) if temperature_c == 20.0 else (None, 0.0)
         spots.append(Spot(u, v + 17.0 * frame, 9.0, temperature_c, 15.0, Status.OK, place, 0.5, 0.1, (), False, *named))
-    return SpotReport(s.session, frame, s.capture_unix_ns, True, tuple(spots), 0, 0.8, 0.6, vehicle)
+    return SpotReport(s.session, frame, s.capture_unix_ns, True, tuple(spots), 0, 0.8, 0.6, vehicle, 0.962)
 
 
 @contextmanager
@@ -69,6 +69,7 @@ def test_a_find_becomes_a_pin_with_its_source_or_is_dismissed_and_both_are_undon
         source.fly_to(9)
         source.views.spots.add([report(0), report(1)])
         assert states(client) == {1: "open", 2: "open"}
+        assert client.get("/api/status").json()["vehicles"][0]["person_found"] == 0.962
         made = client.post("/api/spots/1/confirm", json={"category": "person", "who": "anna"})
         assert made.status_code == 201
         pin = made.json()
@@ -167,6 +168,7 @@ def test_a_find_alarms_is_confirmed_or_dismissed_and_the_sound_can_be_muted(
     page.wait_for_selector("[data-testid=found][data-spot='3'][data-news=yes]")
     assert page.evaluate("window.tones") == tones
     assert anna.by("found-count").inner_text() == "Hot spots 3, the likeliest person 90 %"
+    assert eventually(lambda: "a person would be found on 96 %" in page.locator("#status-strip").inner_text())
     rows = {row.get_attribute("data-spot"): row.bounding_box()["y"] for row in anna.by("found").all()}
     assert rows["3"] < rows["2"] < rows["1"]
     assert "a person, 90 % likely, 20.0 degC" in page.locator("[data-spot='3'] .track-words").inner_text()

@@ -95,7 +95,7 @@ def test_what_is_in_one_picture_alone_is_not_reported() -> None:
         assert report is not None and not report.spots
 
 
-def test_a_team_at_take_off_hides_nobody_farther_on() -> None:
+def test_a_team_at_take_off_hides_no_one_farther_on() -> None:
     """Nine people within 4 ha, then one 180 m on: all are found."""
     rng = np.random.default_rng(4)
     team = [(float(east), float(north)) for east, north in rng.uniform((-25.0, -15.0), (25.0, 45.0), (9, 2))]
