@@ -29,6 +29,7 @@ GATE_PX = 2.0  # of how well the net knows a thing's middle
 WALK_M_S, WALKED_S = 1.5, 3.0
 SLOW_S = 10.0  # the time constant of what pictures next to each other have in common
 EDGE_PX = 8.0  # nearer to the picture's edge no peak is missed
+STILL_PX = 20.0  # of ground; how looks from nearer to each other depend on each other has not been measured
 KM2 = 1e-6  # a square metre
 MOST_GATE_M = 100.0
 
@@ -62,10 +63,22 @@ class _Seen:
 
 @dataclass(eq=False)
 class _Place:
-    """A place where a thing of one kind may be: where it was seen last, and its odds by all looks."""
+    """A place where a thing of one kind may be: where it was seen last, and its odds by all looks.
+
+    `from_m`: where the camera (3,) has been when looks counted, the first peak's first.
+    """
 
     newest: _Seen
     odds: PlaceOdds
+    from_m: deque[Array]
+
+    def is_new_from(self, camera_m: Array) -> bool:
+        """Note that the camera (3,) looks at it; return whether it has not from about there: a hover is one look."""
+        apart_m = np.linalg.norm(np.array(self.from_m) - camera_m, axis=1)
+        is_new = bool(apart_m.min() >= STILL_PX * self.newest.pixel_m)
+        if is_new:
+            self.from_m.append(camera_m)
+        return is_new
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,11 +188,16 @@ class ThingBook:
         for i, place in enumerate(in_view):
             observation = taken.get(i)
             gate_m = _gate_m(place.newest, observation or place.newest, now)
-            _add(of, place, observation, gate_m)
+            if place.is_new_from(now.camera_m):
+                _add(of, place, observation, gate_m)
             if observation is not None:
                 place.newest = observation
                 seen.append(place)
-        begun = [_Place(observation, PlaceOdds(of.law)) for j, observation in enumerate(observed) if j not in used]
+        begun = [
+            _Place(observation, PlaceOdds(of.law), deque([now.camera_m], MOST_LOOKS))
+            for j, observation in enumerate(observed)
+            if j not in used
+        ]
         for place in begun:
             _add(of, place, place.newest, _gate_m(place.newest, place.newest, now))
         if begun:

@@ -80,16 +80,16 @@ def test_a_clear_thing_is_reported_at_once_and_faint_looks_before_it_count_for_i
     for score in (0.5, 0.1):
         flight = Flight(false_per_km2=100.0)
         for k in range(2):
-            flight.look([(3.0, 4.0, score)], (k, 0.0))
-        odds.append(flight.look([(3.0, 4.0, 0.9)])[0].log_odds)
+            flight.look([(3.0, 4.0, score)], (3.0 * k, 0.0))
+        odds.append(flight.look([(3.0, 4.0, 0.9)], (6.0, 0.0))[0].log_odds)
     assert odds[0] > odds[1] + 0.5
 
 
 def test_two_people_5_m_apart_are_two_and_each_keeps_its_own_odds() -> None:
     flight = Flight()
     for k in range(5):
-        seen = flight.look([(0.0, 0.0, 0.9), (5.0, 0.0, 0.7 if k % 2 else 0.15)], (0.5 * k, 0.0))
-    east = {round((one.peak.u_px - 320.0) * HEIGHT_M / CAMERA.fx_px + 2.0) for one in seen}
+        seen = flight.look([(0.0, 0.0, 0.9), (5.0, 0.0, 0.7 if k % 2 else 0.15)], (2.0 * k, 0.0))
+    east = {round((one.peak.u_px - 320.0) * HEIGHT_M / CAMERA.fx_px + 8.0) for one in seen}
     assert east <= {0, 5} and seen[0].log_odds > seen[-1].log_odds
     assert len(clear(flight)) == 2
 
@@ -99,6 +99,19 @@ def test_a_walker_is_one_thing() -> None:
     for k in range(12):
         flight.look([(0.6 * k, 0.0, 0.8)])
     assert len(clear(flight)) == 1
+
+
+def test_a_hover_makes_nothing_surer_and_nothing_less_sure_and_the_next_view_does() -> None:
+    """Its pictures are all the same: what resembles a person in one does so in each, in the same class."""
+    for score in (0.5, 0.9):
+        flight = Flight(false_per_km2=1000.0, per_picture=0)
+        drift = np.random.default_rng(3).normal(0.0, 0.2, (120, 2))
+        hovered = [flight.look([(3.0, 4.0, score)], (float(e), float(n)))[0].log_odds for e, n in drift]
+        assert max(hovered) - min(hovered) < 0.1
+        assert not any(flight.look([]) for _ in range(20))
+        assert np.isclose(flight.look([(3.0, 4.0, score)])[0].log_odds, hovered[-1], atol=0.1)
+        moved = [flight.look([(3.0, 4.0, 0.9)], (5.0 * k, 0.0))[0].log_odds for k in (1, 2, 3)]
+        assert moved[-1] > hovered[-1] + 0.2
 
 
 def test_looks_before_the_first_peak_and_after_it_that_show_nothing_count_against_it() -> None:
