@@ -12,17 +12,17 @@ from contract.answer import Fix
 from contract.feature_set import FeatureSet, Status
 from contract.geodesy import LocalFrame
 from contract.locate import Locator
-from contract.spot import Spot, SpotReport
+from contract.spot import MOST_SPOTS, Spot, SpotReport
 from onboard.config.schema import SpotsConfig, ThermalConfig
 from onboard.events.types import Frame
 from onboard.spots.blurred_area import unblurred
-from onboard.spots.detector import PARTS, ZERO_C_K, Detector, are_one
+from onboard.spots.detector import PARTS, ZERO_C_K, Detector
 from onboard.spots.ground_scale import ground_scale
 from onboard.spots.regions import Region
 from onboard.spots.second_camera import STATES, Pointing
 from onboard.spots.shares import shares
 from onboard.spots.thing_book import ThingBook, ThingSeen
-from onboard.spots.thing_region import region_of_thing
+from onboard.spots.thing_region import is_of_thing, region_of_thing
 
 Array = NDArray[np.float64]
 
@@ -63,6 +63,7 @@ class SpotBook:
             ThingBook(self._config.false_per_km2, self._config.things_per_km2) if self._config.things else None
         )
         self._before: deque[list[Placed]] = deque(maxlen=OF - 1)
+        self._turn = 0
         self.newest: list[Placed] = []  # of the last picture, those of its spots that have a place
 
     @property
@@ -83,11 +84,11 @@ class SpotBook:
         hot = self._detector.look(frame.counts, s, self._ground_place(locator))
         things = [] if locator is None else self._seen_things(frame.counts, locator)
         placed = [self._thing(region, seen, locator, s.status, pointing) for region, seen in things]
-        found = [one for one in hot if not any(are_one(one, region) for region, _ in things)]
+        found = [one for one in hot if not any(is_of_thing(one, seen.peak, region) for region, seen in things)]
         placed += [self._placed(region, locator, s.status, pointing) for region in found]
-        kept = [
-            one for one in placed if one.fix is None or one.spot.kind is not None or self._times_seen(one) + 1 >= SEEN
-        ]
+        kept = self._in_turn(
+            [one for one in placed if one.fix is None or one.spot.kind is not None or self._times_seen(one) + 1 >= SEEN]
+        )
         self._before.append([one for one in placed if one.fix is not None])
         self.newest = shown = [one for one in kept if one.fix is not None]
         picture, session = shares([one.fix for one in shown if one.fix], s, [one.pointed_m for one in shown])
@@ -169,6 +170,13 @@ class SpotBook:
             for before in self._before
         )
         return sum(near)
+
+    def _in_turn(self, kept: list[Placed]) -> list[Placed]:
+        """Return the spots, the next ones first where a packet does not hold all: else some would never be sent."""
+        if len(kept) <= MOST_SPOTS:
+            return kept
+        first, self._turn = self._turn % len(kept), (self._turn + MOST_SPOTS) % len(kept)
+        return kept[first:] + kept[:first]
 
 
 def _polygon_m2(outline: Array) -> float:

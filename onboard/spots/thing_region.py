@@ -9,12 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.spots.contrast import TO_SIGMA, Image
+from onboard.spots.detector import are_one
 from onboard.spots.regions import LENS_PX, Part, Region, region_in
 from onboard.spots.thing_net import Peak
 
 Array = NDArray[np.float64]
 
 LEAST_PX = 3.0  # to the side of a thing's box
+LARGER = 2.0  # than a thing's box, to whose side no region is the thing's
 ABOUT = 1.0  # of its box, the ground that it is compared with lies about it
 
 
@@ -46,6 +48,12 @@ def region_of_thing(values: Image, peak: Peak) -> Region:
     is_cut = bool((low == 0).any() or (high == size - 1).any())
     region = Region(middle, outline, most / spread, ground + most, most, is_cut)
     return region if found is None else replace(region, blur_px=float(np.sqrt(LENS_PX**2 + 1.0 / 12.0)))
+
+
+def is_of_thing(hot: Region, peak: Peak, region: Region) -> bool:
+    """Return whether a region that was found by its heat is the one of a thing; a fire about the thing is not."""
+    size = hot.outline_px.max(axis=0) - hot.outline_px.min(axis=0)
+    return are_one(hot, region) and bool((size <= LARGER * np.maximum((peak.width_px, peak.height_px), LEAST_PX)).all())
 
 
 def _joined_to_top(excess: Image) -> Image:

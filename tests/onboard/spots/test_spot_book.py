@@ -10,10 +10,12 @@ import pytest
 
 from contract.feature_set import Status
 from contract.geodesy import LocalFrame
-from contract.spot import SpotReport
+from contract.spot import SpotReport, ThingKind
 from contract.wire.spot_code import decode_spots, encode_spots
 from onboard.config.schema import SpotsConfig, ThermalConfig
 from onboard.spots.spot_book import SpotBook
+from onboard.spots.thing_book import ThingBook
+from onboard.spots.thing_net import Peak
 from simulation.heat_sources import Fire, HeatSource
 from simulation.thermal import ThermalSpec
 from tests.onboard.spots.scenes import LEPTON, ORIGIN, Scene, place_of
@@ -134,3 +136,42 @@ def test_another_session_begins_again_and_pictures_without_counts_are_passed_ove
     assert book.picture(replace(frame, counts=None), its_set) is None
     report = book.picture(frame, replace(its_set, session=8))
     assert report is not None and not report.spots  # once in this session
+
+
+class _Net:
+    """A net that finds what it is given."""
+
+    def __init__(self, *peaks: Peak) -> None:
+        self.found = list(peaks)
+
+    def peaks(self, values: np.ndarray) -> list[Peak]:
+        return self.found
+
+
+def with_net(scene: Scene, net: _Net, count: int) -> list[SpotReport]:
+    """Reports of pictures of which all that the net finds is named."""
+    book = SpotBook("uav-1", SpotsConfig(things=True), CALIBRATED)
+    book.picture(*scene.picture(0, Status.TURNING))  # its session has begun
+    book._things = ThingBook(1e9, 1.0, net=net)
+    reports = [book.picture(*scene.picture(k)) for k in range(count)]
+    return [report for report in reports if report is not None]
+
+
+def test_a_fire_in_which_a_net_sees_a_person_stays_a_fire() -> None:
+    fire = Fire(((-8.0, 0.0), (8.0, 6.0)), rate_m_s=0.2, first_m=6.0, ember_k=600.0, cooling_s=600.0)
+    scene = Scene(ThermalSpec(fires=(fire,)), step_m=0.0)
+    alone = simulated(scene, range(2))[-1].spots[0]
+    person = Peak(ThingKind.PERSON, 0.9, alone.u_px + 5.0, alone.v_px + 5.0, 10.0, 10.0)
+    last = with_net(scene, _Net(person), 2)[-1]
+    assert last.spots[0].kind is ThingKind.PERSON
+    assert max(spot.area_m2 for spot in last.spots if spot.kind is None) == pytest.approx(alone.area_m2, rel=0.01)
+
+
+def test_of_more_things_than_a_packet_holds_all_are_sent_in_turn() -> None:
+    """Fourteen vehicles, likelier than the person between them."""
+    parked = [Peak(ThingKind.VEHICLE, 0.9, 60.0 + 40.0 * k, 150.0, 20.0, 20.0) for k in range(14)]
+    net = _Net(*parked, Peak(ThingKind.PERSON, 0.5, 311.0, 300.0, 10.0, 10.0))
+    sent = [decode_spots(encode_spots(r)).spots for r in with_net(Scene(replace(CALM, sources=()), step_m=0.0), net, 3)]
+    assert all(len(spots) == 6 for spots in sent)
+    assert any(spot.kind is ThingKind.PERSON for spots in sent for spot in spots)
+    assert len({round(spot.u_px) for spots in sent for spot in spots}) == 15
