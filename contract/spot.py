@@ -103,8 +103,8 @@ def person_text(share: float) -> str:
 
 @dataclass(frozen=True)
 class SpotReport:
-    """All spots of a picture, the most significant first (of many: those whose turn it is); `more` were found and are not
-    in the report.
+    """All spots of a picture, the most significant first (of many: those whose turn it is); `more` were found and
+    are not in the report.
 
     `picture_share` and `session_share` are shares of the spots' horizontal variance: what all spots of this picture
     have in common, and what (of that) those of the session's other pictures have too. The first does not become less by

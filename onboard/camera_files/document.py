@@ -44,9 +44,11 @@ def _may_be_yaml(text: str) -> bool:
 
 def _text_of(path: Path) -> str:
     try:
-        if path.stat().st_size > MAX_BYTES:
-            raise InputError(f"{path.stat().st_size} bytes: at most {MAX_BYTES} are read of a camera file")
-        return path.read_text(encoding="utf-8-sig").lstrip()
+        with path.open("rb") as file:
+            data = file.read(MAX_BYTES + 1)  # a device states no size
+        if len(data) > MAX_BYTES:
+            raise InputError(f"at most {MAX_BYTES} bytes are read of a camera file, and it has more")
+        return data.decode("utf-8-sig").lstrip()
     except OSError as error:
         raise InputError(str(error.strerror)) from error
     except ValueError as error:
@@ -87,7 +89,13 @@ def _yaml(text: str) -> Any:
     import yaml  # noqa: PLC0415  only for those who bring one
 
     class Loader(yaml.SafeLoader):  # type: ignore[misc]  # PyYAML has no types
-        """The safe loader, with OpenCV's one tag."""
+        """The safe loader, with OpenCV's one tag and without aliases: a few lines of these are gigabytes."""
+
+        def compose_node(self, parent: Any, index: Any) -> Any:
+            if self.check_event(yaml.AliasEvent):
+                mark = self.peek_event().start_mark
+                raise yaml.composer.ComposerError(None, None, "an alias, which no calibration needs", mark)
+            return super().compose_node(parent, index)
 
     Loader.add_constructor(
         "tag:yaml.org,2002:opencv-matrix", lambda loader, node: loader.construct_mapping(node, deep=True)

@@ -33,7 +33,7 @@ def text(read: CameraFile) -> list[str]:
     if read.took:
         lines.append(f"took: {', '.join(read.took)}")
     if read.left:
-        lines.append(f"left: {', '.join(name[:40] for name in read.left[:20])}")
+        lines.append(f"left: {', '.join(_shown(name) for name in read.left[:20])}")
     if read.had:
         lines.append(f"reduced: without {' and '.join(read.had)} its pixels are up to {read.off_px:.2g} px off")
     wide = 2.0 * math.degrees(math.atan(0.5 * camera.width_px / camera.fx_px))
@@ -48,6 +48,11 @@ def text(read: CameraFile) -> list[str]:
     if rayless > 0.0:
         lines.append(f"no ray: {100.0 * rayless:.0f} % of the picture, where the distortion folds; left out in flight")
     return lines
+
+
+def _shown(name: str) -> str:
+    """A file's own word, short and without what a terminal would obey."""
+    return "".join(c for c in name[:40] if c.isprintable())
 
 
 def _sigma_line(read: CameraFile) -> str:

@@ -113,6 +113,7 @@ REFUSED = {
     "ros count": (ROS.replace(f", {K3}]", "]").replace(f"[{K1}, ", "["), "3 values: must be a list of 0 or 4"),
     "ros roi": (ROS + "roi: {x_offset: 640, y_offset: 0, width: 0, height: 0}\n", "roi cuts the picture"),
     "ros cut": (ROS[: ROS.index("distortion_model") - 5], r"not YAML \(.* in line 7\)"),
+    "yaml alias": ("a: &a [1]\nb: &b [*a, *a]\nsize_px: *b\n", r"not YAML \(an alias, .* in line 2\)"),
     "ros from the middle": (ROS.replace(f"{CX}", "10.25"), "principal point is 10.25 px in x, 50 % of the picture off"),
     "ros size": (ROS.replace("image_width", "width_"), "states no picture size.*--size"),
     "opencv fisheye": (OPENCV + "fisheye_model: 1\n", "fisheye's model"),
@@ -183,9 +184,10 @@ def test_terms_that_cannot_be_done_without_are_refused(tmp_path: Path) -> None:
 
 
 def test_it_serves_wherever_a_camera_file_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path, out = put(tmp_path, "camera.yaml", ROS), tmp_path / "camera.json"
+    path, out = put(tmp_path, "camera.yaml", ROS + '"\\e[2J": 1\n'), tmp_path / "camera.json"
     assert main(["camera", str(path), "--out", str(out)]) == 0
-    assert "left: camera_name, rectification_matrix" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "left: camera_name, rectification_matrix" in printed and "[2J" in printed and "\x1b" not in printed
     camera = Camera.from_json(out)
     assert camera == load_camera_file(path) == load_camera(parse_config(f'[camera]\nfile = "{path}"'))
     assert camera.sigma == pytest.approx(UNKNOWN_SIGMA)
