@@ -124,6 +124,7 @@ def test_peaks_are_the_same_whatever_the_cameras_gain_offset_and_size_are(pictur
     assert net.peaks(np.full((512, 640), 3000, np.uint16)) == [] == net.peaks(np.zeros((120, 160), np.uint16))
 
 
+@pytest.mark.long
 def test_single_looks_find_people_as_likely_as_stated_and_fewer_false_ones_than_asked_for(
     pictures: list[Labelled],
 ) -> None:
