@@ -120,7 +120,7 @@ def real_sets(folder: Path, more: dict[str, str]) -> list[FeatureSet]:
     with tempfile.TemporaryDirectory() as out:
         recording = Path(out) / "session.mcap"
         files = [word for option, name in given.items() for word in (option, str(folder / name))]
-        run("onboard", "replay", "--record", str(recording), *files)
+        run("onboard", "replay", "--out", str(recording), *files)
         session = Recording(recording)
         [vehicle] = session.vehicles
         found = [session.by_frame(vehicle, frame) for frame in session.frames(vehicle)]

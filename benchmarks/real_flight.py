@@ -102,7 +102,7 @@ def main() -> None:
         print(
             run(
                 "onboard", "replay", "--config", str(config), "--frames", str(options.shared / "frames"), "--telemetry",
-                str(options.shared / "telemetry.tlog"), "--camera", str(options.shared / "camera.json"), "--record",
+                str(options.shared / "telemetry.tlog"), "--camera", str(options.shared / "camera.json"), "--out",
                 str(recording),
             )
         )  # fmt: skip

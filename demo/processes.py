@@ -51,7 +51,7 @@ class Aircraft:
             "telemetry": flight / "telemetry.tlog",
             "camera": flight / "camera.json",
             "stamps": flight / "stamps.csv",
-            "record": recording,
+            "out": recording,
             "speed": f"{speed:g}",
             "linger": f"{10.0 * STUCK_S:g}",
         }

@@ -48,7 +48,7 @@ READER_GONE = 141  # as the shell has it for a program that a SIGPIPE ended
 
 
 REPLAY_EXAMPLES = """examples:
-  pc-onboard replay --frames FRAMES --telemetry 00000042.BIN --camera camera.json --record session.mcap
+  pc-onboard replay --frames FRAMES --telemetry 00000042.BIN --camera camera.json --out session.mcap
   pc-onboard replay --frames DJI_0042.MP4 --telemetry DJI_0042.SRT --camera camera.json --home-amsl-m 412
   pc-onboard replay --config FLIGHT/config.toml --frames FLIGHT/frames --telemetry exif --camera FLIGHT/camera.json
 """
@@ -159,7 +159,7 @@ def _add_replay(commands: Commands) -> None:
     replay.add_argument(
         "--rate", type=rate, default=math.inf, metavar="HZ", help="pictures a second at most; the others are left out"
     )
-    replay.add_argument("--record", type=Path, metavar="SESSION.mcap", help="write events and feature sets")
+    replay.add_argument("--out", type=Path, metavar="SESSION.mcap", help="write events and feature sets")
     replay.add_argument(
         "--state",
         type=Path,
@@ -320,7 +320,7 @@ def _add_bench(bench: argparse.ArgumentParser) -> None:
     bench.add_argument("--frames", type=Path, metavar="DIR", help="given pictures, with the next two as for replay")
     bench.add_argument("--telemetry", type=Path, metavar="LOG")
     bench.add_argument("--stamps", type=Path, metavar="STAMPS.csv")
-    bench.add_argument("--format", choices=["text", "json"], default="text", help="json: for programs")
+    bench.add_argument("--json", action="store_true", help="as a JSON object, for programs")
     bench.set_defaults(run=run_bench)
 
 
@@ -369,7 +369,7 @@ def _add_calibrate(calibrate: argparse.ArgumentParser) -> None:
     )
     calibrate.add_argument("--views", type=int, default=25, metavar="N", help="with --device: views to collect (25)")
     calibrate.add_argument("--seconds", type=seconds, default=300.0, metavar="S", help="with --device: at most (300)")
-    calibrate.add_argument("--save", type=Path, metavar="DIR", help="with --device: keep the pictures")
+    calibrate.add_argument("--keep", type=Path, metavar="DIR", help="with --device: keep the pictures")
     calibrate.add_argument("--board", default="charuco", choices=["charuco", "checkerboard"], help="kind of board")
     calibrate.add_argument("--squares", type=pair, default=(7, 10), metavar="CxR", help="squares of the board (7x10)")
     calibrate.add_argument("--square-mm", type=float, default=25.0, metavar="MM", help="a square, as measured (25)")

@@ -99,7 +99,7 @@ class Replays(dict[str, Simulated]):
 
     def __missing__(self, name: str) -> Simulated:
         recording = self._out / f"{name}.mcap"
-        done = run("onboard", *replay_arguments(self._flight, config=self._flight / f"{name}.toml", record=recording))
+        done = run("onboard", *replay_arguments(self._flight, config=self._flight / f"{name}.toml", out=recording))
         assert (done.returncode, done.stderr) == (0, "")
         self[name] = Simulated(recording, done.stdout)
         return self[name]
@@ -161,7 +161,7 @@ def test_the_summary_tells_what_became_of_the_pictures(simulated: dict[str, Simu
 
 def test_the_same_inputs_give_the_same_bytes(flight: Path, simulated: dict[str, Simulated], tmp_path: Path) -> None:
     again = tmp_path / "again.mcap"
-    done = run("onboard", *replay_arguments(flight, config=flight / "full.toml", record=again))
+    done = run("onboard", *replay_arguments(flight, config=flight / "full.toml", out=again))
     assert done.returncode == 0
     assert again.read_bytes() == simulated["full"].recording.read_bytes()
 
@@ -297,7 +297,7 @@ def test_bad_input_is_one_line_exit_2_and_nothing_half_written(
     spoilt.mkdir()
     out.mkdir()
     changed = spoil(flight, spoilt)
-    arguments = replay_arguments(flight, record=out / "session.mcap", **changed)
+    arguments = replay_arguments(flight, out=out / "session.mcap", **changed)
     if spoil is missing_log:  # of a process, once: the others are refused by the same `main`
         done = run("onboard", *arguments)
         code, printed, complaint = done.returncode, done.stdout, done.stderr
@@ -368,7 +368,7 @@ def test_the_real_flight_is_solved(shared_data: Path, tmp_path: Path) -> None:
     real, recording = shared_data / "cmac_2018", tmp_path / "real.mcap"
     done = run(
         "onboard", "replay", "--frames", real / "frames", "--telemetry", real / "telemetry.tlog",
-        "--camera", real / "camera.json", "--record", recording,
+        "--camera", real / "camera.json", "--out", recording,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     sets = [Recording(recording).by_frame("uav", frame) for frame in range(18)]

@@ -152,7 +152,7 @@ def test_the_base_writes_every_format_but_projections(environment: Path, session
     [
         (["click", "1", "2", "--format", "mgrs"], "geo"), (["click", "1", "2", "--crs", "EPSG:2193"], "geo"),
         (["click", "1", "2", "--format", "utm"], "geo"), (["completion", "bash"], "completion"),
-        (["record", "--to", "x", "--seconds", "1", "--connect", "tcp/127.0.0.1:9"], "record"),
+        (["record", "--out", "x", "--seconds", "1", "--connect", "tcp/127.0.0.1:9"], "record"),
         (["watch", "--connect", "mavlink:udpin:127.0.0.1:14551"], "mavlink"),
     ],
 )  # fmt: skip
@@ -234,7 +234,7 @@ def fly_and_click(environment: Path, folder: Path) -> None:
     files = {"frames": "frames", "telemetry": "telemetry.tlog", "camera": "camera.json", "stamps": "stamps.csv"}
     arguments = [part for key, name in files.items() for part in (f"--{key}", flight / name)]
     summary = run_well(
-        environment, "pc-onboard", "replay", *arguments, "--config", flight / "config.toml", "--record", recording
+        environment, "pc-onboard", "replay", *arguments, "--config", flight / "config.toml", "--out", recording
     )
     assert re.search(r"^solved +15$", summary, re.MULTILINE)
     click = run_well(
@@ -294,7 +294,7 @@ def use_geotiff(environment: Path, folder: Path) -> None:
     files = folder / "seen.tif", folder / "seen.geojson"
     output = run_well(
         environment, "pc-ground", "seen", "--from", level_session(folder / "session.mcap"),
-        *(word for file in files for word in ("--to", file)),
+        *(word for file in files for word in ("--out", file)),
     )  # fmt: skip
     assert output.startswith("seen: ") and "in 1 picture of uav" in output
     assert files[0].read_bytes()[:2] in (b"II", b"MM")
@@ -304,7 +304,7 @@ def use_geotiff(environment: Path, folder: Path) -> None:
 def use_record(environment: Path, folder: Path) -> None:
     """What the link delivers is kept; without an aircraft nothing, and it says so."""
     output = run_well(
-        environment, "pc-ground", "record", "--to", folder / "kept", "--seconds", 0.3, "--connect", "tcp/127.0.0.1:9"
+        environment, "pc-ground", "record", "--out", folder / "kept", "--seconds", 0.3, "--connect", "tcp/127.0.0.1:9"
     )
     assert "nothing received yet" in output
     program = f"""

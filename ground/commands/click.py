@@ -84,6 +84,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_interpolated_argument(parser)
     parser.add_argument("--format", choices=tuple(FORMATS), help="default: text, a batch always json")
+    parser.add_argument("--json", dest="format", action="store_const", const="json", help="the same as --format json")
     add_grid_arguments(parser)
 
 

@@ -50,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--max-age", metavar="S", type=age, help=f"refuse the newest picture if older (default {MAX_AGE_S:g})"
     )
-    parser.add_argument("--format", choices=("text", "json"), default="text")
+    parser.add_argument("--json", action="store_true", help="as a JSON object")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
         return ends
     (first, one), (second, two) = ends
     v = measured(first, one, (args.u1, args.v1), second, two, (args.u2, args.v2))
-    print(_json(v, one, two) if args.format == "json" else _text(v, one, two))
+    print(_json(v, one, two) if args.json else _text(v, one, two))
     return ANSWERED
 
 
@@ -75,12 +75,12 @@ def _ends(args: argparse.Namespace, source: Source) -> tuple[End, End] | int:
     clicker = partial(Clicker, source, is_measured=not args.interpolated)
     one, first = clicker(usual_s if args.max_age is None else args.max_age).click(args.u1, args.v1, frame=args.frame)
     if isinstance(one, Refusal) or first is None:
-        return _refused(one, "first", args.format)
+        return _refused(one, "first", as_json=args.json)
     # The newest picture may be another one by now: both pixels are of the same.
     by_frame, frame = clicker(math.inf), first.feature_set.frame if args.frame2 is None else args.frame2
     two, second = by_frame.click(args.u2, args.v2, frame=frame)
     if isinstance(two, Refusal) or second is None:
-        return _refused(two, "second", args.format)
+        return _refused(two, "second", as_json=args.json)
     if first.feature_set.session != second.feature_set.session:
         raise LinkError("the aircraft's program began again between both questions: measure again")
     if frame == first.feature_set.frame and not is_same_set(first, second):  # it was revised in between
@@ -142,9 +142,9 @@ def _json(v: Vector, one: Fix, two: Fix) -> str:
     return json.dumps({"status": "ok", **vector_json(v), **ends})
 
 
-def _refused(answer: object, which: str, form: str) -> int:
+def _refused(answer: object, which: str, *, as_json: bool) -> int:
     assert isinstance(answer, Refusal)
-    if form == "json":
+    if as_json:
         print(answer.to_json())
     else:
         print(f"{which} pixel: {answer.to_text()}", file=sys.stderr)

@@ -65,6 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
     listing = action("list", "the pins, a line each")
     listing.add_argument("--format", choices=tuple(FORMATS), default="text")
+    listing.add_argument("--json", dest="format", action="store_const", const="json", help="the same as --format json")
     exporting = action("export", "the pins as a file for others")
     exporting.add_argument(
         "file", metavar="FILE", nargs="?", type=Path, help="its name gives the format; - or none: here"

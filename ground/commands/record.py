@@ -16,15 +16,15 @@ from ground.link_options import UsageError, endpoint_of, tls_of
 
 EXAMPLES = """\
 examples:
-  pc-ground record --to flights/today                       until Ctrl-C; a file for each aircraft's session
-  pc-ground record --to flights/today --connect tcp/10.0.0.7:7447 --seconds 600
+  pc-ground record --out flights/today                       until Ctrl-C; a file for each aircraft's session
+  pc-ground record --out flights/today --connect tcp/10.0.0.7:7447 --seconds 600
   pc-ground click 480 120 --from flights/today/uav1-1717000000.001.mcap
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `record`."""
-    parser.add_argument("--to", metavar="DIR", type=Path, required=True, help="the folder; made if it is not there")
+    parser.add_argument("--out", metavar="DIR", type=Path, required=True, help="the folder; made if it is not there")
     parser.add_argument("--seconds", metavar="S", type=positive, help="end by itself after so long")
     add_source_arguments(parser)
 
@@ -38,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
 
     tls = tls_of(args)
     vehicle = args.vehicle or ANY_VEHICLE
-    with LinkRecorder(args.to) as recorder:
+    with LinkRecorder(args.out) as recorder:
         with SetCache(endpoint_of(args, tls), vehicle, tls=tls, subscriptions={f"pc/{vehicle}/*": recorder.take}):
             until = None if args.seconds is None else time.monotonic() + args.seconds
             reported_s = time.monotonic()

@@ -26,8 +26,8 @@ from ground.seen.tally import SeenGround
 EXAMPLES = """\
 examples:
   pc-ground seen --from SESSION.mcap                             how much was seen, and the largest gaps
-  pc-ground seen --from SESSION.mcap --polygon area.geojson --to seen.tif --to seen.geojson
-  pc-ground seen --connect tcp/10.0.0.7:7447 --seconds 600 --cell 5 --to seen.geojson
+  pc-ground seen --from SESSION.mcap --polygon area.geojson --out seen.tif --out seen.geojson
+  pc-ground seen --connect tcp/10.0.0.7:7447 --seconds 600 --cell 5 --out seen.geojson
 """
 GAPS_LISTED = 5
 REPORT_EVERY_S = 10.0
@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--cell", metavar="M", type=positive, help="side of a cell (default: a hundredth of the height)"
     )
     parser.add_argument(
-        "--to",
+        "--out",
         metavar="FILE",
         type=Path,
         action="append",
@@ -57,11 +57,11 @@ def run(args: argparse.Namespace) -> int:
     """Count, print the summary and write the files. Raises PointclickError."""
     if args.cell is not None and not LEAST_CELL_M <= args.cell <= MOST_CELL_M:
         raise UsageError(f"--cell must be from {LEAST_CELL_M:g} to {MOST_CELL_M:g} m")
-    for path in args.to:
+    for path in args.out:
         if path.suffix.lower() not in WRITERS:
-            raise UsageError(f"--to {path}: the name must end in {', '.join(sorted(WRITERS))}")
+            raise UsageError(f"--out {path}: the name must end in {', '.join(sorted(WRITERS))}")
         if not path.parent.is_dir():
-            raise InputError(f"--to {path}: there is no folder {path.parent}")
+            raise InputError(f"--out {path}: there is no folder {path.parent}")
     area = None if args.polygon is None else read_area(args.polygon)
     seen = SeenGround(args.cell)
     for found in _recorded(args) if args.recording is not None else _live(args):
@@ -77,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
         print("nothing was surely seen: no set answers, or all are too uncertain")
         return REFUSED
     print("\n".join(summary(seen, shown)))
-    for path in args.to:
+    for path in args.out:
         write(path, seen, shown)
         print(f"written: {path}")
     return ANSWERED

@@ -35,9 +35,9 @@ EXAMPLES = """\
 examples:
   pc-ground spots --from SESSION.mcap                       what was found in a flight, a line each
   pc-ground spots --connect tcp/10.0.0.7:7447               as it is found, until Ctrl-C
-  pc-ground spots --connect tcp/10.0.0.7:7447 --json --save found.geojson --seconds 600
-  pc-ground spots --from SESSION.mcap --all --save all.kml  also what only one picture shows
-  pc-ground spots --fire --minutes 10 --save fire.kml       where it burned, how sure that is, how fast it spreads
+  pc-ground spots --connect tcp/10.0.0.7:7447 --json --out found.geojson --seconds 600
+  pc-ground spots --from SESSION.mcap --all --out all.kml  also what only one picture shows
+  pc-ground spots --fire --minutes 10 --out fire.kml       where it burned, how sure that is, how fast it spreads
 """
 SAVED = {".geojson": "geojson", ".json": "geojson", ".kml": "kml", ".gpx": "gpx", ".csv": "csv"}
 HOTTER_K, SMALLER, ELSEWHERE = 1.0, 0.8, 1.0  # of a change that is reported: kelvin, of the ellipse, ellipses' axes
@@ -51,10 +51,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="a JSON object a line")
     parser.add_argument("--seconds", metavar="S", type=positive, help="live: end after so long (default: Ctrl-C)")
     parser.add_argument(
-        "--save", metavar="FILE", type=Path, help=f"all of them at the end: {', '.join(sorted(set(SAVED)))}"
+        "--out", metavar="FILE", type=Path, help=f"all of them at the end: {', '.join(sorted(set(SAVED)))}"
     )
     fire = parser.add_argument_group("a fire instead of single things")
-    fire.add_argument("--fire", action="store_true", help="the area that burned: .geojson or .kml with --save")
+    fire.add_argument("--fire", action="store_true", help="the area that burned: .geojson or .kml with --out")
     fire.add_argument("--minutes", metavar="M", type=positive, help=f"in the last minutes (default {MINUTES:g})")
     fire.add_argument(
         "--above", metavar="C", type=finite, help=f"degrees Celsius above which it burns (default {HOT_C:g})"
@@ -65,16 +65,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Print what is found. Raises PointclickError."""
     endings = fire_area.FORMATS if args.fire else SAVED
-    if args.save is not None and args.save.suffix.lower() not in endings:
-        raise UsageError(f"--save {args.save}: the name must end in {', '.join(sorted(endings))}")
+    if args.out is not None and args.out.suffix.lower() not in endings:
+        raise UsageError(f"--out {args.out}: the name must end in {', '.join(sorted(endings))}")
     if not args.fire and (args.minutes is not None or args.above is not None):
         raise UsageError("--minutes and --above go with --fire")
     if args.fire:
         return _fire(args)
     received = _recorded(args) if args.recording is not None else _live(args)
     found = [thing for thing in received.things() if args.all or thing.is_sure]
-    if args.save is not None:
-        save(args.save, FORMATS[SAVED[args.save.suffix.lower()]].write([Mark.of_found(thing) for thing in found], None))
+    if args.out is not None:
+        save(args.out, FORMATS[SAVED[args.out.suffix.lower()]].write([Mark.of_found(thing) for thing in found], None))
     if received.unplaced:
         print(f"spots without a place, where a click has no answer either: {received.unplaced}", file=sys.stderr)
     if received.mean_person_found is not None:
@@ -101,8 +101,8 @@ def _fire(args: argparse.Namespace) -> int:
     if fire is None:
         print("no picture shows a fire with its outline", file=sys.stderr)
         return REFUSED
-    if args.save is not None:
-        save(args.save, fire_area.write(fire, args.save.name))
+    if args.out is not None:
+        save(args.out, fire_area.write(fire, args.out.name))
     return ANSWERED
 
 

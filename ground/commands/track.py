@@ -33,12 +33,12 @@ EXAMPLES = """\
 examples:
   pc-ground track 480 120 --frame 1234        what is at that pixel of picture 1234, from then on, until Ctrl-C
   pc-ground track 480 120                     of the newest picture
-  pc-ground track 480 120 --save car.kml      its path with times when it ends (.kml or .geojson)
+  pc-ground track 480 120 --out car.kml      its path with times when it ends (.kml or .geojson)
   pc-ground track --connect tcp/10.0.0.7:7447 --json    every track of that aircraft, a JSON object a line
-  pc-ground track --from SESSION.mcap --save all.kml     what was followed in a recorded flight
+  pc-ground track --from SESSION.mcap --out all.kml     what was followed in a recorded flight
   pc-ground track --list; pc-ground track --stop 3
 """
-MOST_KEPT = 200_000  # reports for --save: more than a day of one track
+MOST_KEPT = 200_000  # reports for --out: more than a day of one track
 REPEATED_S = 0.5  # between reports that are aged
 SILENT_S = 10.0  # without a report of a track that was begun
 
@@ -56,7 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--leave", action="store_true", help="the track goes on when this command ends")
     parser.add_argument("--seconds", metavar="S", type=positive, help="end after so long")
     parser.add_argument("--count", metavar="N", type=lambda t: whole(t, "count"), help="end after so many reports")
-    parser.add_argument("--save", metavar="FILE", type=Path, help="write the path at the end: .geojson or .kml")
+    parser.add_argument("--out", metavar="FILE", type=Path, help="write the path at the end: .geojson or .kml")
     parser.add_argument("--json", action="store_true", help="a JSON object a line")
     parser.add_argument("--vehicle", metavar="NAME", help="the aircraft, where there are several")
     source = parser.add_mutually_exclusive_group()
@@ -75,8 +75,8 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError("--frame goes with U and V")
     if args.u is not None and (args.list or args.stop is not None):
         raise UsageError("--list and --stop go without U and V")
-    if args.save is not None and args.save.suffix.lower() not in track_path.FORMATS:
-        raise UsageError(f"--save {args.save}: a name that ends with .geojson or .kml")
+    if args.out is not None and args.out.suffix.lower() not in track_path.FORMATS:
+        raise UsageError(f"--out {args.out}: a name that ends with .geojson or .kml")
     if args.recording is not None:
         return _recorded(args)
     from ground.track_link import TrackLink, TrackRefused  # noqa: PLC0415  zenoh is loaded only where there is a link
@@ -101,8 +101,8 @@ def run(args: argparse.Namespace) -> int:
             _listen(link, number, args, kept)
         if number is not None and not args.leave and not (kept and kept[-1].state is TrackState.LOST):
             _stop(link, number)
-    if args.save is not None:
-        save(args.save, track_path.write(kept, args.save.name))
+    if args.out is not None:
+        save(args.out, track_path.write(kept, args.out.name))
     return ANSWERED
 
 
@@ -114,8 +114,8 @@ def _recorded(args: argparse.Namespace) -> int:
     reports = recording.reports(TRACK_REPORTS, [vehicle_of(args.vehicle, recording.vehicles)])
     for report in reports:
         print(report.to_json() if args.json else report.to_text())
-    if args.save is not None:
-        save(args.save, track_path.write(reports, args.save.name))
+    if args.out is not None:
+        save(args.out, track_path.write(reports, args.out.name))
     if not reports:
         print("nothing was followed in this flight", file=sys.stderr)
         return REFUSED
@@ -142,8 +142,8 @@ def _listen(link: TrackLink, number: int | None, args: argparse.Namespace, kept:
                 warnings.show([f"dropped, reports of a session that does not run: {link.left_out} messages"])
             continue
         received_s = time.monotonic()
-        if args.save is None or len(kept) >= MOST_KEPT:
-            kept[:] = kept[: MOST_KEPT - 1 if args.save else 0]
+        if args.out is None or len(kept) >= MOST_KEPT:
+            kept[:] = kept[: MOST_KEPT - 1 if args.out else 0]
         kept.append(report)
         count += 1
         print(report.to_json() if args.json else report.to_text(), flush=True)

@@ -70,7 +70,7 @@ def run(arguments: argparse.Namespace) -> int:
     load = measure(config, camera, events, is_over)
     wanted_hz = arguments.rate or config.camera.rate_hz
     found = report(load, config, camera, wanted_hz, watch)
-    print(json.dumps(found, indent=1) if arguments.format == "json" else text(found))
+    print(json.dumps(found, indent=1) if arguments.json else text(found))
     return 0 if found["is_good"] else 1
 
 

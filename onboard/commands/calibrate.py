@@ -282,9 +282,9 @@ def _kept(kept: list[View], image: Grey, arguments: argparse.Namespace) -> None:
     """Report that, and what is still missing."""
     bare = bare_places(kept, arguments.size)
     print(f"{len(kept)}/{arguments.views}" + (f"; nothing yet at {', '.join(bare[:3])}" if bare else ""), flush=True)
-    if arguments.save is not None:
+    if arguments.keep is not None:
         try:
-            arguments.save.mkdir(parents=True, exist_ok=True)
-            Image.fromarray(image).save(arguments.save / f"view_{len(kept):03d}.png")
+            arguments.keep.mkdir(parents=True, exist_ok=True)
+            Image.fromarray(image).save(arguments.keep / f"view_{len(kept):03d}.png")
         except OSError as error:
-            raise InputError(f"{arguments.save}: {error.strerror or error}") from error
+            raise InputError(f"{arguments.keep}: {error.strerror or error}") from error

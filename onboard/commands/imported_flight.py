@@ -76,7 +76,7 @@ class ImportedFlight:
         print(f"written: {self.out}; to change what was assumed: --set KEY=VALUE, or edit its config.toml, camera.json")
         files = {
             "config": self.out / "config.toml", "frames": self.frames, "telemetry": self.telemetry,
-            "camera": self.out / "camera.json", "stamps": self.out / "stamps.csv", "record": self.out / "session.mcap",
+            "camera": self.out / "camera.json", "stamps": self.out / "stamps.csv", "out": self.out / "session.mcap",
         }  # fmt: skip
         options = [word for name, path in files.items() for word in (f"--{name}", str(path))]
         print(shlex.join(["pc-onboard", "replay", *options, *self.replay]), flush=True)

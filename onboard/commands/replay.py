@@ -86,10 +86,10 @@ def run(arguments: argparse.Namespace, stop: threading.Event) -> tuple[str, bool
     if comparison is not None:
         sinks.append(comparison)
     whole, second = None, _second_camera(arguments, inputs)
-    if arguments.record is not None:
-        if inputs.recorded is not None and arguments.record.resolve() in [p.resolve() for p in inputs.recorded.paths]:
-            raise InputError(f"recording {arguments.record}: is what is replayed; name another file")
-        whole = WholeRecording(arguments.record, config, inputs.config_text, camera, state_json, second)
+    if arguments.out is not None:
+        if inputs.recorded is not None and arguments.out.resolve() in [p.resolve() for p in inputs.recorded.paths]:
+            raise InputError(f"recording {arguments.out}: is what is replayed; name another file")
+        whole = WholeRecording(arguments.out, config, inputs.config_text, camera, state_json, second)
         whole.at_its_end = partial(_last_status, pipeline, newest)
         sinks.append(whole)
     followed = _followed(arguments, config, whole)
@@ -127,8 +127,8 @@ def _open_files(arguments: argparse.Namespace) -> _Inputs:
         config = with_settings(config, settings_of(arguments.set))
         config_text = recorded_toml(config)
     camera = load_camera_file(arguments.camera)
-    if arguments.record is not None:
-        _check_place(arguments.record)
+    if arguments.out is not None:
+        _check_place(arguments.out)
     flight = Flight.open(
         *(config, camera, arguments.frames, arguments.telemetry, arguments.stamps),
         home_amsl_m=arguments.home_amsl_m,

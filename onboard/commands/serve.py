@@ -18,7 +18,7 @@ from onboard.storage.recorded_pictures import RecordedPictures
 RATE = Rate(1e9, 0.2, 30.0)  # no radio is between
 FOREVER_S = 1e9
 NOT_FOLLOWED = (
-    "a recording: to follow something in its pictures, pc-onboard replay SESSION.mcap --track FRAME,U,V --record OUT"
+    "a recording: to follow something in its pictures, pc-onboard replay SESSION.mcap --track FRAME,U,V --out OUT"
 )
 
 

@@ -69,7 +69,7 @@ def simulated(
         recording = tmp_path_factory.mktemp("flown") / "session.mcap"
         files = {"frames": "frames", "telemetry": "telemetry.tlog", "camera": "camera.json", "stamps": "stamps.csv"}
         done = installed(architecture)(
-            *("-m", "onboard", "replay", "--config", flight / "config.toml", "--record", recording),
+            *("-m", "onboard", "replay", "--config", flight / "config.toml", "--out", recording),
             *(part for key, name in files.items() for part in (f"--{key}", flight / name)),
         )
         assert (done.returncode, done.stderr) == (0, "")
@@ -152,7 +152,7 @@ def test_everything_that_people_do_with_it_works(installed: Callable[[str], Inst
 def test_it_measures_the_computer(installed: Callable[[str], Installation], tmp_path: Path) -> None:
     """With its own small means: `simulation` is not in it. What it measures under emulation would mean nothing."""
     arguments = ("--config", tmp_path / "none.toml", "--size", "320x240", "--rate", "1", "--seconds", "0")
-    found = json.loads(well(installed("amd64")("-m", "onboard", "bench", *arguments, "--format", "json")))
+    found = json.loads(well(installed("amd64")("-m", "onboard", "bench", *arguments, "--json")))
     assert found["solved"] > 0.9 * found["pictures"] >= 100
     assert found["is_good"]
 

@@ -57,7 +57,7 @@ def test_a_flight_is_replayed_and_clicked_by_what_is_installed(installed: str) -
     files = "--frames frames --telemetry telemetry.tlog --camera camera.json --stamps stamps.csv --config config.toml"
     there(
         "install -d -o pointclick /tmp/out; cd /tmp/flight; "
-        f"setpriv --reuid pointclick --clear-groups pc-onboard replay {files} --record /tmp/out/session.mcap"
+        f"setpriv --reuid pointclick --clear-groups pc-onboard replay {files} --out /tmp/out/session.mcap"
     )
     click = there("pc-ground click 320 240 --frame 10 --from /tmp/out/session.mcap --format json")
     assert json.loads(click)["status"] == "ok"

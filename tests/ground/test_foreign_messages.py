@@ -155,7 +155,7 @@ def test_watch_record_and_cot_show_the_true_aircraft_alone(
     rows = [json.loads(line) for line in out.splitlines()]
     assert {row["vehicle"] for row in rows} == {"uav-1"}
     assert all(abs(row["lat_deg"] - TRUE.camera_lat_deg) < 1e-6 for row in rows)
-    words, _ = both("record", "--to", str(tmp_path / "link"), "--seconds", "2")
+    words, _ = both("record", "--out", str(tmp_path / "link"), "--seconds", "2")
     assert NAMED in words and Recording(tmp_path / "link").frames("uav-1") == [TRUE.frame]
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as display:
         display.bind(("127.0.0.1", 0))

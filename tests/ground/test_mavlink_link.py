@@ -250,7 +250,7 @@ def test_watch_and_record_show_and_keep_the_sets_that_come_in_pieces(
 
         def is_kept() -> bool:
             """In five seconds, or in the next five where a busy machine's were too short."""
-            assert main(["record", "--to", str(tmp_path), "--seconds", "5", "--connect", radio]) == 0
+            assert main(["record", "--out", str(tmp_path), "--seconds", "5", "--connect", radio]) == 0
             vehicles = Recording(tmp_path).vehicles if any(tmp_path.iterdir()) else []
             return any(2 in Recording(tmp_path).frames(vehicle) for vehicle in vehicles)
 

@@ -85,7 +85,7 @@ def record(folder: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-m", "onboard", "replay", "--config", config, "--frames", flight / "frames",
          "--telemetry", flight / "telemetry.tlog", "--camera", flight / "camera.json",
-         "--stamps", flight / "stamps.csv", "--record", first],
+         "--stamps", flight / "stamps.csv", "--out", first],
         capture_output=True, text=True, check=False, cwd=ROOT, timeout=120,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr

@@ -309,7 +309,7 @@ def test_a_camera_is_calibrated_live(tmp_path: Path, capsys: pytest.CaptureFixtu
         return (picture + np.roll(noise, number * 7919)).clip(0, 255).astype(np.uint8).tobytes()
 
     out = tmp_path / "camera.json"
-    words = ["--size", "640x480", "--views", "16", "--seconds", "80", "--save", str(tmp_path / "kept")]
+    words = ["--size", "640x480", "--views", "16", "--seconds", "80", "--keep", str(tmp_path / "kept")]
     with playing(LOOPBACK, shown, size_px=(640, 480), period_s=0.05):
         code = main(["calibrate", "--device", LOOPBACK, "--out", str(out), *words])
     text = capsys.readouterr().out

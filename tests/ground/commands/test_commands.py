@@ -138,7 +138,7 @@ def test_other_coordinates(session: str, capsys: pytest.CaptureFixture[str]) -> 
 
 def test_measuring_in_one_picture_and_in_two(session: str, capsys: pytest.CaptureFixture[str]) -> None:
     def between(*arguments: object) -> dict[str, float]:
-        status, out, err = run(capsys, "measure", *arguments, "--from", session, "--format", "json")
+        status, out, err = run(capsys, "measure", *arguments, "--from", session, "--json")
         assert (status, err) == (0, "")
         found: dict[str, float] = json.loads(out)
         return found

@@ -76,7 +76,7 @@ def test_what_was_recorded_from_the_link_answers_like_the_aircraft(
         """In little more than a second; into another folder, where a busy machine received less by then."""
         nonlocal folder, printed
         folder = tmp_path / f"new {next(tries)}" / "folder"
-        assert main(["record", "--to", str(folder), "--seconds", "1.2", "--connect", link]) == 0
+        assert main(["record", "--out", str(folder), "--seconds", "1.2", "--connect", link]) == 0
         printed = capsys.readouterr().out
         return (
             "none of ours" in printed and any(folder.iterdir()) and len(Recording(folder).frames("uav-1")) == len(SETS)
@@ -95,7 +95,7 @@ def test_what_was_recorded_from_the_link_answers_like_the_aircraft(
     expected = Locator(SETS[5]).locate((320.0, 240.0))
     assert answer["lat_deg"] == pytest.approx(expected.lat_deg, abs=1e-6)  # type: ignore[union-attr]
     # Begun again: another part of the same session, read together with the first.
-    again = ["record", "--to", str(folder), "--seconds", "0.7", "--connect", link]
+    again = ["record", "--out", str(folder), "--seconds", "0.7", "--connect", link]
     assert eventually(lambda: main(again) == 0 and len(list(folder.iterdir())) > 1)
     assert len(list(folder.iterdir())) == 2 and Recording(folder).frames("uav-1") == list(range(8))
 
@@ -126,7 +126,7 @@ def test_a_killed_recorder_loses_nothing(tmp_path: Path) -> None:
 
 def test_a_folder_that_cannot_be_used_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "file").write_text("x")
-    assert main(["record", "--to", str(tmp_path / "file" / "below"), "--connect", "tcp/127.0.0.1:9"]) == 2
+    assert main(["record", "--out", str(tmp_path / "file" / "below"), "--connect", "tcp/127.0.0.1:9"]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1
 
 

@@ -53,7 +53,7 @@ def test_it_says_how_much_was_seen_and_where_the_gaps_are(session: Path, capsys:
 
 def test_geojson_has_what_was_seen_the_area_and_its_gaps(session: Path, tmp_path: Path) -> None:
     to = tmp_path / "seen.geojson"
-    assert main(["seen", "--from", str(session), "--cell", "1", "--to", str(to)]) == 0
+    assert main(["seen", "--from", str(session), "--cell", "1", "--out", str(to)]) == 0
     found = by_kind(to)
     (seen,), (searched,) = found["seen"], found["searched"]
     assert len(seen["geometry"]["coordinates"]) == 3
@@ -71,7 +71,7 @@ def test_geojson_has_what_was_seen_the_area_and_its_gaps(session: Path, tmp_path
 
 def test_geotiff_has_counts_times_and_distances_where_gis_expect_them(session: Path, tmp_path: Path) -> None:
     to = tmp_path / "seen.tif"
-    assert main(["seen", "--from", str(session), "--cell", "1", "--to", str(to)]) == 0
+    assert main(["seen", "--from", str(session), "--cell", "1", "--out", str(to)]) == 0
     with rasterio.open(to) as raster:
         assert raster.crs.to_epsg() == 4326 and raster.count == 4 and np.isnan(raster.nodata)
         places = PLACE.to_geodetic(
@@ -116,7 +116,7 @@ def test_an_area_that_is_none_is_one_line(
 ) -> None:
     area = tmp_path / "area.geojson"
     area.write_text(content)
-    assert main(["seen", "--from", str(session), "--polygon", str(area), "--to", str(tmp_path / "out.geojson")]) == 2
+    assert main(["seen", "--from", str(session), "--polygon", str(area), "--out", str(tmp_path / "out.geojson")]) == 2
     complaint = capsys.readouterr().err
     assert complaint.count("\n") == 1 and words in complaint
     assert not (tmp_path / "out.geojson").exists()
@@ -125,7 +125,8 @@ def test_an_area_that_is_none_is_one_line(
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [
-        (["--to", "x.png"], "must end in"), (["--to", "/nowhere/x.tif"], "no folder"), (["--cell", "0.001"], "--cell"),
+        (["--out", "x.png"], "must end in"), (["--out", "/nowhere/x.tif"], "no folder"),
+        (["--cell", "0.001"], "--cell"),
         (["--polygon", "/nowhere.geojson"], "No such file"), (["--vehicle", "kite"], "no vehicle"),
         (["--seconds", "3"], "live"),
     ],

@@ -68,7 +68,7 @@ def test_each_thing_of_a_flight_is_a_line_and_all_are_saved(tmp_path: Path, caps
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[:2] for line in lines] == [["spot", "1"], ["spot", "2"]]
     assert "31.0 degC" in lines[0] and f"in {PICTURES} pictures" in lines[0]
-    assert main(["spots", "--from", flight, "--all", "--json", "--save", str(tmp_path / "a.geojson")]) == 0
+    assert main(["spots", "--from", flight, "--all", "--json", "--out", str(tmp_path / "a.geojson")]) == 0
     rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert [row["pictures"] for row in rows] == [PICTURES, PICTURES, 1]
     assert rows[0]["temperature_c"] == pytest.approx(31.0) and 2.0 < rows[0]["ellipse"]["semi_major_m"] < 3.5
@@ -76,13 +76,13 @@ def test_each_thing_of_a_flight_is_a_line_and_all_are_saved(tmp_path: Path, caps
     points = [f for f in saved if f["geometry"]["type"] == "Point"]
     assert [f["properties"]["name"] for f in points] == ["spot 1", "spot 2", "spot 3"]
     for name in ("a.kml", "a.csv", "a.gpx"):
-        assert main(["spots", "--from", flight, "--save", str(tmp_path / name)]) == 0
+        assert main(["spots", "--from", flight, "--out", str(tmp_path / name)]) == 0
         assert "spot 2" in (tmp_path / name).read_text() and "spot 3" not in (tmp_path / name).read_text()
 
 
 def test_wrong_usage_and_nothing_found_are_a_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     flight = str(recorded(tmp_path / "flight"))
-    for words in (["--save", "x.txt"], ["--seconds", "3"]):
+    for words in (["--out", "x.txt"], ["--seconds", "3"]):
         assert main(["spots", "--from", flight, *words]) == 2
         assert len(capsys.readouterr().err.splitlines()) == 1
     with LinkRecorder(tmp_path / "cold") as recorder:

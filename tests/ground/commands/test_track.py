@@ -75,7 +75,7 @@ def test_each_report_is_a_line_until_the_thing_is_lost(
 ) -> None:
     endpoint, following = aircraft
     path = tmp_path / "car.geojson"
-    assert main(["track", "320", "119.5", "--frame", "7", "--connect", endpoint, "--json", "--save", str(path)]) == 0
+    assert main(["track", "320", "119.5", "--frame", "7", "--connect", endpoint, "--json", "--out", str(path)]) == 0
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert following.asked == ["u=320.0;v=119.5;frame=7"]  # lost: there is nothing to stop
     assert lines[-1]["state"] == "lost" and {line["track"] for line in lines} == {3}
@@ -226,7 +226,7 @@ def test_what_was_followed_is_in_the_recording(tmp_path: Path, capsys: pytest.Ca
                 TRACKS, moved.capture_unix_ns, encode_track(moved) + encode_track(replace(moved, number=4))
             )
         file.write_report(TRACKS, NOW_NS + 9, b"\xff")
-    assert main(["track", "--from", str(path), "--json", "--save", str(tmp_path / "all.kml")]) == 0
+    assert main(["track", "--from", str(path), "--json", "--out", str(tmp_path / "all.kml")]) == 0
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert [line["track"] for line in lines] == [3, 4] * 3 and {line["vehicle"] for line in lines} == {"uav-1"}
     assert (tmp_path / "all.kml").read_text().count("<when>") == 6
@@ -268,7 +268,7 @@ def test_what_is_followed_is_watched_and_recorded_from_the_link(
             def is_recorded() -> bool:
                 nonlocal folder
                 folder = tmp_path / f"try {next(tries)}"
-                assert main(["record", "--to", str(folder), "--seconds", "0.8", "--connect", endpoint]) == 0
+                assert main(["record", "--out", str(folder), "--seconds", "0.8", "--connect", endpoint]) == 0
                 printed = capsys.readouterr().out
                 return "uav-1-1700000000.001.mcap" in printed and bool(
                     Recording(folder).reports(TRACK_REPORTS, ["uav-1"])
@@ -278,7 +278,7 @@ def test_what_is_followed_is_watched_and_recorded_from_the_link(
         finally:
             ended.set()
             thread.join(5.0)
-    assert main(["track", "--from", str(folder), "--json", "--save", str(tmp_path / "path.kml")]) == 0
+    assert main(["track", "--from", str(folder), "--json", "--out", str(tmp_path / "path.kml")]) == 0
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert {line["track"] for line in lines} == {3, 4} and "<when>" in (tmp_path / "path.kml").read_text()
     assert main(["watch", "--from", str(folder), "--json"]) == 0

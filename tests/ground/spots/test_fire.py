@@ -166,12 +166,12 @@ def test_the_command_says_area_perimeter_and_spread_and_writes_the_polygons(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     flight = str(recorded(tmp_path / "flight"))
-    assert main(["spots", "--fire", "--from", flight, "--minutes", "30", "--save", str(tmp_path / "fire.kml")]) == 0
+    assert main(["spots", "--fire", "--from", flight, "--minutes", "30", "--out", str(tmp_path / "fire.kml")]) == 0
     printed = capsys.readouterr().out
     assert printed.startswith("fire of 7") and "spreads with 0.05" in printed and "in 12 pictures" in printed
     assert (tmp_path / "fire.kml").read_text().count("<Polygon>") == 3
     assert main(["spots", "--fire", "--from", flight, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["features"][1]["properties"]["area_m2"] > 600.0
     assert main(["spots", "--fire", "--from", flight, "--above", "500"]) == 3
-    for words in (["--minutes", "3"], ["--fire", "--save", "a.csv"], ["--fire", "--seconds", "1"]):
+    for words in (["--minutes", "3"], ["--fire", "--out", "a.csv"], ["--fire", "--seconds", "1"]):
         assert main(["spots", "--from", flight, *words]) == 2

@@ -38,7 +38,7 @@ def test_a_short_flight_is_measured(tmp_path: Path) -> None:
     """
     config = tmp_path / "config.toml"
     config.write_text("[tracking]\nfeatures = 40\n")
-    words = ["bench", "--config", str(config), "--size", "320x240", "--seconds", "0", "--format", "json"]
+    words = ["bench", "--config", str(config), "--size", "320x240", "--seconds", "0", "--json"]
     done = subprocess.run(
         [sys.executable, "-m", "onboard", *words], cwd=ROOT, capture_output=True, text=True, check=False, timeout=120
     )

@@ -35,7 +35,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     words = [
         "replay", "--config", str(folder / "config.toml"), "--frames", str(session / "frames"),
         "--telemetry", str(session / "telemetry.tlog"), "--camera", str(folder / "camera.json"),
-        "--stamps", str(session / "stamps.csv"), "--record", str(folder / "session.mcap"),
+        "--stamps", str(session / "stamps.csv"), "--out", str(folder / "session.mcap"),
     ]  # fmt: skip
     assert main(words) == 0
     return folder / "session.mcap"

@@ -95,7 +95,7 @@ def arguments(session: Path, **changed: Path | str) -> list[str]:
         "telemetry": LOG,
         "camera": session / "camera.json",
         "stamps": session / "stamps.csv",
-        "record": session / "out.mcap",
+        "out": session / "out.mcap",
     }
     options |= changed
     return ["replay", *(part for key, value in options.items() for part in (f"--{key}", str(value)))]
@@ -203,7 +203,7 @@ def spoil_overlap(session: Path) -> dict[str, Path | str]:
         (lambda s: {"telemetry": s / "stamps.csv"}, "no column lat_deg, lon_deg, height_amsl_m"),
         (lambda s: {"camera": s / "none.json"}, "none.json: No such file"),
         (lambda s: {"stamps": s / "none.csv"}, "none.csv: No such file"),
-        (lambda s: {"record": s / "none" / "out.mcap"}, "no such folder"),
+        (lambda s: {"out": s / "none" / "out.mcap"}, "no such folder"),
         (lambda s: {"speed": "fast"}, "argument --speed"),
         (spoil_decoding, "3.png cannot be decoded"),
         (spoil_size, "0.png is 64 x 48, the camera file states 640 x 480"),
@@ -255,7 +255,7 @@ def test_progress_without_a_terminal_is_lines(
 def test_a_key_is_set_for_one_replay(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
     given = ("mount.yaw_deg=12.5", "vehicle.id=x1", "recording.pictures=lossless")
     settings = [word for text in given for word in ("--set", text)]
-    code = main([*arguments(session, record=session / "set.mcap"), *settings])
+    code = main([*arguments(session, out=session / "set.mcap"), *settings])
     assert code == 3, capsys.readouterr().err
     config, _, _ = recorded_flight(session / "set.mcap")
     assert (config.mount.yaw_deg, config.vehicle.id) == (12.5, "x1")
@@ -275,7 +275,7 @@ def test_the_same_inputs_give_the_same_recording_and_a_summary(
 ) -> None:
     recordings = []
     for name in ("a.mcap", "b.mcap"):
-        assert main(arguments(session, record=session / name)) == 3, "pictures of noise: nothing is solved"
+        assert main(arguments(session, out=session / name)) == 3, "pictures of noise: nothing is solved"
         recordings.append((session / name).read_bytes())
     reported = capsys.readouterr()
     assert "frames" in reported.out

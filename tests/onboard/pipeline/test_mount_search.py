@@ -75,7 +75,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "config.toml").write_text(to_toml(Config.model_validate(table)))
     words = ["--config", str(folder / "config.toml"), "--frames", str(flight / "frames"), "--camera",
              str(flight / "camera.json"), "--telemetry", str(flight / "telemetry.tlog"), "--stamps",
-             str(flight / "stamps.csv"), "--record", str(folder / "session.mcap")]  # fmt: skip
+             str(flight / "stamps.csv"), "--out", str(folder / "session.mcap")]  # fmt: skip
     assert main(["replay", *words]) in (0, 3)
     return folder / "session.mcap"
 

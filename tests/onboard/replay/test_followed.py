@@ -51,7 +51,7 @@ def test_a_replay_follows_prints_and_records(tmp_path: Path, capsys: pytest.Capt
         ("stamps", "stamps.csv"),
     )]  # fmt: skip
     out = tmp_path / "again.mcap"
-    assert main(["replay", *given, "--record", str(out), "--track", "8,150,110", "--track", "900,5,5"]) == 0
+    assert main(["replay", *given, "--out", str(out), "--track", "8,150,110", "--track", "900,5,5"]) == 0
     printed, output = capsys.readouterr()
     lines = [json.loads(line) for line in printed.splitlines() if line.startswith("{")]
     assert len(lines) >= 3 and {line["track"] for line in lines} == {1} and lines[-1]["state"] == "followed"

@@ -50,7 +50,7 @@ def test_a_click_is_answered_through_the_autopilot_as_over_the_link(tmp_path: Pa
         with Router(Line(plane.autopilot.url), Udp(onboard), Udp(ground), Udp(other)) as router:
             plane.start()
             plane.wait_for("ok")
-            command = ["record", "--to", tmp_path / "kept", "--seconds", 12, "--connect"]
+            command = ["record", "--out", tmp_path / "kept", "--seconds", 12, "--connect"]
             listener = started(*command, f"mavlink:udpin:127.0.0.1:{other}?system=246")
             newest = pc_ground("click", *uv, "--connect", radio, "--format", "json")
             answer = json.loads(newest.stdout)

@@ -108,7 +108,7 @@ def test_a_replay_prints_and_records_them(tmp_path: Path, capsys: pytest.Capture
     warm = ThermalSpec(contrast=0.5, sources=(HeatSource.car((0.0, 60.0), 25.0),))
     folder = simulated(dataclasses.replace(STRAIGHT, seconds=5.0, thermal=warm))
     out = tmp_path / "again.mcap"
-    assert main(["replay", *_files(folder), "--record", str(out), "--spots"]) == 0
+    assert main(["replay", *_files(folder), "--out", str(out), "--spots"]) == 0
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines() if line.startswith("{")]
     assert 8 <= len(lines) <= 11 and all(line["is_calibrated"] for line in lines)
     found = [spot for line in lines for spot in line["spots"]]
@@ -137,7 +137,7 @@ def test_a_replay_takes_a_second_cameras_pictures_by_their_own_stamps(
     second = f'[camera.thermal]\nfile = "{optics}"\nscale = 0.01\nlatency_s = 0.04\nsigma_deg = 0.1\n'
     (tmp_path / "config.toml").write_text(f"{plain}\n{second}")
     out = tmp_path / "again.mcap"
-    files = [f"--config={tmp_path / 'config.toml'}", *_files(light)[1:], "--spots", f"--record={out}"]
+    files = [f"--config={tmp_path / 'config.toml'}", *_files(light)[1:], "--spots", f"--out={out}"]
     assert main(["replay", *files]) == 2
     assert "name its pictures with --thermal" in capsys.readouterr().err
     assert main(["replay", *files, f"--thermal={heat / 'frames'}", f"--thermal-stamps={tmp_path / 'late.csv'}"]) == 0
@@ -157,7 +157,7 @@ def test_a_replay_takes_a_second_cameras_pictures_by_their_own_stamps(
         off_m = float(np.hypot(*about.to_enu(spot["lat_deg"], spot["lon_deg"], 0.0)[:2]))
         assert off_m < 1.5 * spot["ellipse"]["semi_major_m"]
     # The recording brings what was looked at, and the second camera's optics: the file is not asked for.
-    again = [str(out), "--spots", f"--record={tmp_path / 'third.mcap'}"]
+    again = [str(out), "--spots", f"--out={tmp_path / 'third.mcap'}"]
     optics.unlink()
     assert main(["replay", *again]) == 0
     assert [json.loads(s) for s in capsys.readouterr().out.splitlines() if s.startswith("{")] == lines

@@ -125,7 +125,7 @@ def test_a_session_recorded_with_its_pictures_replays_to_the_same_bytes(
     assert len(sets) > 30 and sum(decode(payload).is_ok for payload in sets) > 20
     expected = f"as recorded: {len(sets)} of {len(sets)} sets byte for byte"
     out = tmp_path / "again.mcap"
-    assert as_recorded(capsys, str(first(session)), "--record", str(out)) == expected
+    assert as_recorded(capsys, str(first(session)), "--out", str(out)) == expected
     assert list(RecordedFlight.open([out]).sets()) == sets  # and recorded once more, the same again
     assert as_recorded(capsys, str(out)) == expected
 
@@ -221,7 +221,7 @@ def test_usage_that_does_not_go_together_is_one_line(session: Path, capsys: pyte
         ([], "replay needs a recording, or pictures and a log"),
         ([str(session / "none.mcap")], "no such file"),
         ([str(session.parent / "nowhere")], "no such file"),
-        ([str(session), "--record", str(first(session))], "is what is replayed"),
+        ([str(session), "--out", str(first(session))], "is what is replayed"),
     ):
         assert main(["replay", *arguments]) == 2
         (line,) = capsys.readouterr().err.splitlines()
