@@ -81,3 +81,9 @@ def test_the_gpl_is_known_by_its_names(words: str, is_gpl: bool) -> None:
 def test_the_pages_say_whose_choice_the_projects_own_licence_is() -> None:
     for page in ("README.md", "docs/licences.md"):
         assert "still to be chosen by its owner" in " ".join((ROOT / page).read_text(encoding="utf-8").split())
+
+
+def test_whose_pictures_the_net_is_made_from_is_stated_where_it_goes() -> None:
+    for page in ("docs/licences.md", "onboard/spots/weights/MODEL_CARD.md"):
+        text = " ".join((ROOT / page).read_text(encoding="utf-8").split())
+        assert all(words in text for words in ("HIT-UAV", "Suo et al.", "Scientific Data 10, 227 (2023)", "CC BY 4.0"))

@@ -10,6 +10,7 @@ import math
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -27,7 +28,10 @@ FOCAL_PX = 2000.0  # assumed: the data do not state it
 # day and night, low and high, with each kind. Neighbours show the same ground: what is nearer is not trained on.
 TEST = ((281, 726), (8067, 9883))
 CALIBRATION = ((1066, 1256), (1712, 1824), (2562, 2751), (4465, 4778), (5776, 5953), (6440, 6568), (9949, 10170))
+UNTOUCHED_PART = ((281, 470), (8067, 8900))  # of both flights that test: calibrates a net that was trained elsewhere
 APART = 15
+
+BETWEEN_FLIGHTS = 60
 
 Ranges = Sequence[tuple[int, int]]
 
@@ -99,7 +103,10 @@ def read_all(folder: Path) -> list[Labelled]:
 
 
 def split(pictures: Sequence[Labelled], calibration: Ranges = CALIBRATION, test: Ranges = TEST) -> Split:
-    """Separate what trains from what calibrates and tests, with `APART` numbers between."""
+    """Separate what trains from what calibrates and tests, with `APART` numbers between.
+
+    Where `calibration` has a part of the flights that test, those parts do not test the calibration.
+    """
 
     def within(picture: Labelled, ranges: Ranges, margin: int = 0) -> bool:
         return any(first - margin <= picture.number <= last + margin for first, last in ranges)
@@ -107,5 +114,19 @@ def split(pictures: Sequence[Labelled], calibration: Ranges = CALIBRATION, test:
     return Split(
         training=[p for p in pictures if not within(p, [*calibration, *test], APART)],
         calibration=[p for p in pictures if within(p, calibration)],
-        test=[p for p in pictures if within(p, test)],
+        test=[p for p in pictures if within(p, test) and not within(p, calibration)],
     )
+
+
+def stretches(pictures: Sequence[Labelled]) -> NDArray[np.int64]:
+    """Return which stretch of a flight each picture is of (P,): one that looks at the same ground from the same height.
+
+    A new one begins with another height or camera angle, or where many numbers are left out: the data do not state
+    where a flight ends.
+    """
+    begins = [
+        (a.is_day, a.height_m, a.depression_rad) != (b.is_day, b.height_m, b.depression_rad)
+        or b.number - a.number > BETWEEN_FLIGHTS
+        for a, b in pairwise(pictures)
+    ]
+    return np.concatenate([[0], np.cumsum(begins)]).astype(np.int64)

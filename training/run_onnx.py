@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from hashlib import sha256
 from pathlib import Path
 
 import cv2
@@ -21,6 +22,14 @@ class OnnxNet:
     def __init__(self, path: Path) -> None:
         self._net = cv2.dnn.readNetFromONNX(str(path))
         self.seconds: list[float] = []
+        self._known: dict[bytes, Maps] = {}
+
+    def maps_once(self, grey: Grey) -> Maps:
+        """Return the maps of a picture, from memory if it has been looked at before."""
+        key = sha256(grey.tobytes()).digest()
+        if key not in self._known:
+            self._known[key] = self.maps(grey)
+        return self._known[key]
 
     def maps(self, grey: Grey) -> Maps:
         """Return the maps (7, H/4, W/4) of a picture (H, W) whose sides are multiples of 16."""

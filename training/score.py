@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import cv2
 import numpy as np
@@ -70,6 +70,13 @@ def of_pictures(looks: Looks, chosen: Flags) -> Looks:
         looks.thing_picture[t], looks.thing_kind[t], looks.thing_score[t], looks.thing_size_px[t],
         np.where(chosen, looks.pixels, 0.0), np.where(chosen, looks.ground_m2, 0.0),
     )  # fmt: skip
+
+
+def joined(one: Looks, other: Looks) -> Looks:
+    """Return the looks at the pictures of both, those of `other` counted on from those of `one`."""
+    more = len(one.pixels)
+    moved = replace(other, peak_picture=other.peak_picture + more, thing_picture=other.thing_picture + more)
+    return Looks(*(np.concatenate([getattr(looks, f.name) for looks in (one, moved)]) for f in fields(Looks)))
 
 
 def average_precision(score: Array, is_true: Flags, things: int) -> float:

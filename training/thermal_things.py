@@ -1,10 +1,12 @@
 """Train, judge and calibrate the net that finds people, vehicles and other things in thermal pictures.
 
-    python -m training.thermal_things DATA OUT [--minutes 60] [--seed 0] [--onnx FILE]
+    python -m training.thermal_things DATA OUT [--minutes 60] [--seed 0]
+    python -m training.thermal_things DATA OUT --onnx FILE --trained "how, for the model card"
 
 DATA is the folder `normal_xml` of HIT-UAV. Into OUT go `thermal_things.onnx`, its calibration and figures
-`thermal_things.json`, and while it trains `thermal_things.pt`. With `--onnx` nothing is trained: that net is judged and
-calibrated, on the same pictures.
+`thermal_things.json`, `MODEL_CARD.md`, and while it trains `thermal_things.pt`. With `--onnx` nothing is trained: that
+net, from elsewhere, is judged and calibrated; only the two flights that test are known not to have trained it, so that
+a part of them calibrates it and the other part tests the calibration.
 """
 
 from __future__ import annotations
@@ -20,17 +22,17 @@ import numpy as np
 
 from training.again import again, described, flights
 from training.calibration import counted, reliability, tables
-from training.labelled_pictures import KINDS, Grey, Split, read_all, split
+from training.labelled_pictures import KINDS, UNTOUCHED_PART, Grey, Labelled, Split, read_all, split, stretches
+from training.model_card import card
 from training.net_input import BOX_PX, LEAST_LOCAL_SPREAD, LEAST_SPREAD, MOST, STRIDE_PX
 from training.peaks import LEAST_SCORE, PEAK_CELLS
 from training.repeats import moved_pairs, pairs_of
 from training.run_onnx import OnnxNet
-from training.score import Looks, figures, look_at, of_pictures
+from training.score import Looks, figures, joined, look_at, of_pictures
 from training.targets import SIZE_PX
 
 FORMAT = 1
 NAME = "thermal_things"
-BETWEEN_FLIGHTS = 60  # numbers of pictures
 
 
 def milliseconds(net: OnnxNet, grey: Grey) -> float:
@@ -41,45 +43,52 @@ def milliseconds(net: OnnxNet, grey: Grey) -> float:
     return round(1e3 * min(net.seconds), 1)
 
 
-def judged(net: OnnxNet, data: Split, test: Looks, half: Looks) -> dict[str, object]:
-    """Return the figures of the pictures that neither training nor calibration has seen."""
-    is_day = np.array([p.is_day for p in data.test])
-    black_hot = look_at(data.test, lambda grey: net.maps(np.asarray(255 - grey, dtype=np.uint8)))
+def judged(net: OnnxNet, pictures: Sequence[Labelled], looks: Looks, half: Looks) -> dict[str, object]:
+    """Return the figures of pictures that training has not seen."""
+    is_day = np.array([p.is_day for p in pictures])
+    black_hot = look_at(pictures, lambda grey: net.maps(np.asarray(255 - grey, dtype=np.uint8)))
     sets = {
-        "all": test, "day": of_pictures(test, is_day), "night": of_pictures(test, ~is_day), "black_hot": black_hot,
+        "all": looks, "day": of_pictures(looks, is_day), "night": of_pictures(looks, ~is_day), "black_hot": black_hot,
         "half_size": half,
     }  # fmt: skip
-    grey = data.test[0].grey()
+    grey = pictures[0].grey()
     small = np.asarray(cv2.resize(grey, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), dtype=np.uint8)
     return {
-        "pictures": len(data.test),
+        "pictures": len(pictures),
         **{name: {kind: figures(looks, k) for k, kind in enumerate(KINDS)} for name, looks in sets.items()},
         "milliseconds_640x512": milliseconds(net, grey), "milliseconds_320x256": milliseconds(net, small),
     }  # fmt: skip
 
 
-def calibrated(path: Path, data: Split) -> dict[str, object]:
-    """Return what `thermal_things.json` states: the input, the calibration by kind, and how far both can be trusted."""
+def calibrated(path: Path, data: Split, training: str, is_trained_here: bool) -> dict[str, object]:
+    """Return what `thermal_things.json` states: the input, the calibration by kind, and how far both can be trusted.
+
+    A net from elsewhere is calibrated on a part of the flights that test, of which its training has seen nothing
+    either: its figures are those of all of them, and the other part tests the calibration.
+    """
     net = OnnxNet(path)
-    pairs = pairs_of(data.calibration, net.maps)
-    numbers = np.array([p.number for p in data.calibration])
-    flight = np.concatenate([[0], np.cumsum(np.diff(numbers) > BETWEEN_FLIGHTS)])
-    looks, half = look_at(data.calibration, net.maps), look_at(data.calibration, net.maps, shrink=2)
+    looks, test = (look_at(pictures, net.maps_once) for pictures in (data.calibration, data.test))
+    half, test_half = (look_at(pictures, net.maps, shrink=2) for pictures in (data.calibration, data.test))
+    pairs = pairs_of(data.calibration, net.maps_once)
     kinds = tables(looks, half)
     for k, name in enumerate(KINDS):
-        kinds[name] |= again(counted(looks, k), pairs, k) | {"flights": flights(looks, k, flight)}
-    test, test_half = look_at(data.test, net.maps), look_at(data.test, net.maps, shrink=2)
+        kinds[name] |= again(counted(looks, k), pairs, k) | {"flights": flights(looks, k, stretches(data.calibration))}
+    if is_trained_here:
+        figures_of = judged(net, data.test, test, test_half)
+    else:
+        figures_of = judged(net, [*data.calibration, *data.test], joined(looks, test), joined(half, test_half))
     return {
         "format": FORMAT, "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
         "input": {
             "box_px": BOX_PX, "least_spread": LEAST_SPREAD, "least_local_spread": LEAST_LOCAL_SPREAD, "most": MOST,
         },
         "output": {"stride_px": STRIDE_PX, "size_px": SIZE_PX, "peak_cells": PEAK_CELLS, "least_score": LEAST_SCORE},
-        "calibration_pictures": len(data.calibration),
+        "bytes": path.stat().st_size, "training": training, "calibration_pictures": len(data.calibration),
+        "calibration_test_pictures": len(data.test),
         "kinds": kinds,
         "pairs": {"all": described(pairs), "moved": described(moved_pairs(pairs))},
-        "test_pairs": described(moved_pairs(pairs_of(data.test, net.maps))),
-        "test": judged(net, data, test, test_half),
+        "test_pairs": described(moved_pairs(pairs_of(data.test, net.maps_once))),
+        "test": figures_of,
         "reliability": {name: reliability(counted(looks, k), test, k) for k, name in enumerate(KINDS)},
         "reliability_half_size": {name: reliability(counted(looks, k), test_half, k) for k, name in enumerate(KINDS)},
     }  # fmt: skip
@@ -92,18 +101,21 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--minutes", type=float, default=60.0, help="time to train")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--onnx", type=Path, help="judge and calibrate this net instead of training one")
+    parser.add_argument("--trained", default="not stated.", help="how the net of --onnx was trained")
     given = parser.parse_args(arguments)
     cv2.setNumThreads(1)
     given.out.mkdir(parents=True, exist_ok=True)
-    data = split(read_all(given.data))
-    path = given.onnx
+    pictures = read_all(given.data)
+    data = split(pictures) if given.onnx is None else split(pictures, calibration=UNTOUCHED_PART)
+    path, training = given.onnx, given.trained
     if path is None:
         from training.train import trained  # noqa: PLC0415  (PyTorch, which judging a net does without)
 
         path = given.out / f"{NAME}.onnx"
-        trained(data, path, given.minutes, given.seed)
-    stated = calibrated(path, data)
+        training = trained(data, path, given.minutes, given.seed)
+    stated = calibrated(path, data, training, given.onnx is None)
     (given.out / f"{NAME}.json").write_text(json.dumps(stated, indent=1) + "\n", encoding="utf-8")
+    (given.out / "MODEL_CARD.md").write_text(card(stated), encoding="utf-8")
     print(json.dumps(stated["test"], indent=1))
 
 

@@ -7,14 +7,17 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from training.crops import Crops
+from training.crops import SIDE_PX, Crops
 from training.export import export
-from training.fit import Fit, Progress
+from training.fit import BATCH, Fit, Progress
 from training.labelled_pictures import Split
 
 
-def trained(data: Split, path: Path, minutes: float, seed: int) -> None:
-    """Train for so many minutes and write the net to `path`; its weights so far are kept next to it."""
+def trained(data: Split, path: Path, minutes: float, seed: int) -> str:
+    """Train for so many minutes and write the net to `path`; its weights so far are kept next to it.
+
+    Returns how it was trained, for the model card.
+    """
     # More threads wait for each other wherever another program wants a core, for longer than they save.
     torch.set_num_threads(1)
     fit = Fit(Crops(data.training, np.random.default_rng(seed)), seed)
@@ -26,3 +29,8 @@ def trained(data: Split, path: Path, minutes: float, seed: int) -> None:
     fit.run(60.0 * minutes, report)
     off = export(fit.mean, path, data.calibration[0].grey())
     print(f"{fit.steps} steps; OpenCV is {off:.1g} off PyTorch", flush=True)
+    return (
+        f"from nothing, with `python -m training.thermal_things` (seed {seed}): {fit.steps:,} steps of {BATCH} crops of"
+        f" {SIDE_PX} x {SIDE_PX} px from {len(data.training):,} pictures of other flights, {minutes:g} minutes of one"
+        " core."
+    )

@@ -14,11 +14,21 @@ from scipy.special import ndtr
 from training.again import again, fitted, flights
 from training.calibration import counted, isotonic, log_ratio_sigma, reliability, smoothed, tables
 from training.crops import ASIDE, SIDE_PX, Crops, moved, warp_around
-from training.labelled_pictures import APART, CALIBRATION, KINDS, TEST, Labelled, read_all, split
+from training.labelled_pictures import (
+    APART,
+    CALIBRATION,
+    KINDS,
+    TEST,
+    UNTOUCHED_PART,
+    Labelled,
+    read_all,
+    split,
+    stretches,
+)
 from training.net_input import STRIDE_PX, level_of, level_of_histogram, net_input
 from training.peaks import judge, peaks_of
 from training.repeats import corners_of, correlation, false_places, overlay, pairs_of, same_things, seen
-from training.score import Looks, average_precision, look_at, of_pictures, recall_at
+from training.score import Looks, average_precision, joined, look_at, of_pictures, recall_at
 from training.targets import SIZE_PX, targets_of
 
 Array = NDArray[np.float64]
@@ -74,6 +84,16 @@ def test_nothing_trains_that_shows_what_tests_or_calibrates() -> None:
     assert len(numbers[1]) == sum(last - first + 1 for first, last in CALIBRATION)
     assert len(numbers[2]) == sum(last - first + 1 for first, last in TEST)
     assert len(numbers[0]) + len(numbers[1]) + len(numbers[2]) > 0.95 * len(pictures)
+    elsewhere = split(pictures, calibration=UNTOUCHED_PART)
+    part, rest = ({p.number for p in pictures} for pictures in (elsewhere.calibration, elsewhere.test))
+    assert part | rest == set(numbers[2].tolist())
+    assert not part & rest
+
+
+def test_a_stretch_ends_where_the_view_changes_or_numbers_are_left_out() -> None:
+    views = [(1, 60.0), (2, 60.0), (3, 70.0), (9, 70.0), (200, 70.0)]
+    pictures = [Labelled(Path("x"), n, True, height, 1.0, np.zeros((0, 5)), NONE) for n, height in views]
+    assert stretches(pictures).tolist() == [0, 0, 1, 1, 2]
 
 
 def test_input_is_free_of_gain_and_offset_and_its_level_follows_the_tones() -> None:
@@ -223,6 +243,10 @@ def test_tables_state_what_is_missed_by_size_and_looks_are_chosen_by_picture() -
     assert [row["to_px"] for row in sizes] == [8.0, 16.0]
     assert 0.4 < sizes[0]["missed"] < 0.6
     assert sizes[1]["missed"] < 0.02
+    both = joined(of_pictures(looks, np.arange(200) < 100), looks)
+    assert len(both.pixels) == 400
+    assert both.peak_picture.max() < 400
+    assert (both.peak_picture >= 200).sum() == len(looks.peak_score)
     half = of_pictures(looks, np.arange(200) < 100)
     assert 0.4 < len(half.peak_score) / len(looks.peak_score) < 0.6
     assert half.pixels.sum() == pytest.approx(looks.pixels.sum() / 2)
