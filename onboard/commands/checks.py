@@ -62,7 +62,8 @@ CHECKS: dict[str, Check] = {
     ),
     "thermal": Check(
         "Where the camera is a thermal one: kelvin a count, or that it is not stated.",
-        "it never is. For temperatures state thermal.scale and thermal.offset (docs/thermal.md).",
+        "spots.things asks for a thermal camera: name one, or take it out. "
+        "For temperatures state thermal.scale and thermal.offset (docs/thermal.md).",
     ),
     "telemetry": Check(
         "Whether positions come from the autopilot or receiver.",

@@ -76,7 +76,7 @@ def diagnose(config: Config, report: Report, around: Surroundings) -> list[Line]
         _exposure(config, report),
         *([Line("decoder", True, around.decoders)] if around.decoders else []),
         *second,
-        *([_thermal(config)] if config.thermal.enabled or second else []),
+        *([_thermal(config)] if config.thermal.enabled or second or config.spots.things else []),
         judged.pop(Subject.TELEMETRY),
         _rates(report),
         _time_sync(config, report),
@@ -94,7 +94,12 @@ def diagnose(config: Config, report: Report, around: Surroundings) -> list[Line]
 
 
 def _thermal(config: Config) -> Line:
-    """Return whether counts are temperatures; a camera that has none may fly."""
+    """Return whether counts are temperatures (a camera that has none may fly), and the net has what it looks at."""
+    if config.spots.things and not (
+        config.spots.enabled and (config.thermal.enabled or config.camera.thermal.is_stated)
+    ):
+        lacking = "no thermal camera is configured" if config.spots.enabled else "spots.enabled = false"
+        return Line("thermal", False, f"spots.things = true, and {lacking}: nothing is looked for")
     key = "thermal.scale" if config.thermal.enabled else "camera.thermal.scale"
     unknown = f"; hot spots have no temperatures ({key})" if config.heat.calibration is None else ""
     return Line("thermal", True, config.heat.words.removeprefix("thermal, ") + unknown)

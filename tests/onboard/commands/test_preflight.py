@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import pytest
 from hypothesis import given
 
 from onboard.commands import doctor
 from onboard.commands.checks import CHECKS
 from onboard.commands.preflight import Surroundings, diagnose
-from onboard.config.schema import Config, ThermalConfig
+from onboard.config.schema import Config, SpotsConfig, ThermalConfig
 from onboard.events.source import SourceStatus, State
 from onboard.service.reports import Report
 from onboard.service.vehicle_state import Inputs, Subject, overall
@@ -56,6 +57,17 @@ def test_every_line_is_explained_and_no_name_runs_into_its_text() -> None:
         assert f" {line.name} " in words
     assert all(check.sentences[1] == f"If bad: {check.cure}" for check in CHECKS.values())
     assert all(check.looks_at.endswith(".") and check.cure.endswith(".") for check in CHECKS.values())
+
+
+@pytest.mark.parametrize(
+    ("enabled", "spots", "red"), [(False, True, "no thermal"), (True, False, "spots.enabled"), (True, True, "")]
+)
+def test_a_net_that_has_nothing_to_look_at_is_a_red_line(enabled: bool, spots: bool, red: str) -> None:
+    config = CONFIG.model_copy(
+        update={"thermal": ThermalConfig(enabled=enabled), "spots": SpotsConfig(enabled=spots, things=True)}
+    )
+    (line,) = (line for line in diagnose(config, judged(), AROUND) if line.name == "thermal")
+    assert line.is_good is not bool(red) and red in line.text
 
 
 def test_a_budget_is_passed_on_as_it_is() -> None:
