@@ -82,7 +82,7 @@ class SpotBook:
         if s.is_ok and self._origin is None:
             self._origin = LocalFrame(s.camera_lat_deg, s.camera_lon_deg, 0.0)
         hot = self._detector.look(frame.counts, s, self._ground_place(locator))
-        things = [] if locator is None else self._seen_things(frame.counts, locator)
+        things = [] if locator is None else self._seen_things(frame.counts, locator, pointing)
         placed = [self._thing(region, seen, locator, s.status, pointing) for region, seen in things]
         found = [one for one in hot if not any(is_of_thing(one, seen.peak, region) for region, seen in things)]
         placed += [self._placed(region, locator, s.status, pointing) for region in found]
@@ -97,14 +97,16 @@ class SpotBook:
             tuple(one.spot for one in kept), 0, picture, session, self._vehicle, self._detector.person_found,
         )  # fmt: skip
 
-    def _seen_things(self, counts: NDArray[np.uint16], locator: Locator) -> list[tuple[Region, ThingSeen]]:
+    def _seen_things(
+        self, counts: NDArray[np.uint16], locator: Locator, pointing: Pointing | None
+    ) -> list[tuple[Region, ThingSeen]]:
         """What the net finds in a picture, the most likely first; nothing where the picture shows no ground."""
         ground = ground_scale(locator.feature_set, PARTS)
         if self._things is None or ground is None or self._origin is None:
             return []
         scale = self._thermal.calibration
         values = counts.astype(np.float32) if scale is None else scale.kelvin(counts)
-        found = self._things.look(values, locator, ground, self._origin)
+        found = self._things.look(values, locator, ground, self._origin, pointing)
         return [(region_of_thing(values, seen.peak), seen) for seen in found]
 
     def _thing(

@@ -17,6 +17,7 @@ from contract.locate import Locator, pixels_of
 from contract.spot import ThingKind
 from onboard.spots.counted_ground import CountedGround
 from onboard.spots.ground_scale import GroundScale
+from onboard.spots.second_camera import STATES, Pointing
 from onboard.spots.shares import shares
 from onboard.spots.thing_net import Image, Peak, ThingNet
 from onboard.spots.thing_odds import MISSED, PlaceOdds, ScoreLaw, read_laws
@@ -51,7 +52,10 @@ class ThingSeen:
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """A peak on the ground: its place (3,) and a pixel's side there, m, its own and its slow errors' variances, m2."""
+    """A peak on the ground: its place (3,) and a pixel's side there, m, its own and its slow errors' variances, m2.
+
+    `by_mount_m` (2, 4): how far a second camera's errors move it, m for each radian and second.
+    """
 
     peak: Peak
     place_m: Array
@@ -59,6 +63,7 @@ class _Seen:
     own_m2: float
     slow_m2: float
     at_s: float
+    by_mount_m: Array
 
 
 @dataclass(eq=False)
@@ -83,12 +88,16 @@ class _Place:
 
 @dataclass(frozen=True, eq=False)
 class _Past:
-    """A look that is over: its picture's set, camera (3,) and middle of the ground (2,), m, and that one's reach."""
+    """A look that is over: its picture's set, camera (3,) and middle of the ground (2,), m, and that one's reach.
+
+    `mount` (4, 4): the covariance of how a second camera sits; 0 without one.
+    """
 
     its_set: FeatureSet
     camera_m: Array
     middle_m: Array
     reach_m: float
+    mount: Array
 
 
 @dataclass(eq=False)
@@ -141,15 +150,22 @@ class ThingBook:
         self._looks: deque[_Past] = deque(maxlen=MOST_LOOKS)
         self._ground = CountedGround()
 
-    def look(self, values: Image, locator: Locator, scale: GroundScale, origin: LocalFrame) -> list[ThingSeen]:
+    def look(
+        self,
+        values: Image,
+        locator: Locator,
+        scale: GroundScale,
+        origin: LocalFrame,
+        pointing: Pointing | None = None,
+    ) -> list[ThingSeen]:
         """Return what the picture (H, W) shows and all looks together hold for a thing, the most likely first.
 
-        `origin`: where places are counted from, the same all session.
+        `origin`: where places are counted from, the same all session. `pointing`: of a second camera.
         """
         s = locator.feature_set
         peaks = self._net.peaks(values)[:MOST_PEAKS]
-        now = _past(s, locator, scale, origin)
-        observed = _placed(peaks, locator, now.camera_m)
+        now = _past(s, locator, scale, origin, pointing)
+        observed = _placed(peaks, locator, now.camera_m, pointing)
         self._learn_rates(peaks, now, scale)
         shown: list[tuple[_Place, _Kind]] = []
         for kind, of in self._kinds.items():
@@ -230,7 +246,7 @@ def _low_classes(law: ScoreLaw) -> int:
     return int(np.searchsorted(share, 0.5)) + 1
 
 
-def _placed(peaks: list[Peak], locator: Locator, camera_m: Array) -> list[_Seen]:
+def _placed(peaks: list[Peak], locator: Locator, camera_m: Array, pointing: Pointing | None) -> list[_Seen]:
     """The peaks that have a place. Raises nothing: others are left out."""
     if not peaks:
         return []
@@ -247,26 +263,33 @@ def _placed(peaks: list[Peak], locator: Locator, camera_m: Array) -> list[_Seen]
         own, slow = (1.0 - picture) * variance, (picture - session) * variance
         pixel_m = float(np.sqrt(abs(np.linalg.det(answers.by_pixel_m[k][:2]))))
         place_m = camera_m + answers.offset_enu_m[k]
-        out.append(_Seen(peaks[k], place_m, max(pixel_m, 1e-3), own, slow, s.capture_unix_ns / 1e9))
+        by_mount = np.zeros((2, STATES))
+        if pointing is not None:
+            by_mount = answers.by_pixel_m[k][:2] @ pointing.by_state(uv[k])
+            own += 0.5 * float(np.sum((by_mount[:, :3] * pointing.turn_sigma_rad) ** 2))
+        out.append(_Seen(peaks[k], place_m, max(pixel_m, 1e-3), own, slow, s.capture_unix_ns / 1e9, by_mount))
     return out
 
 
 def _gate_m(one: _Seen, two: _Seen, look: _Past) -> float:
-    """The distance within which two observations are of one place. (25.19)"""
+    """The distance within which two observations are of one place. (25.19), with (27.8) of a second camera"""
     apart_s = abs(look.its_set.capture_unix_ns / 1e9 - one.at_s)
     changed = 1.0 - float(np.exp(-apart_s / SLOW_S))
-    errors_m2 = GATE_CHI2 * (one.own_m2 + two.own_m2 + changed * (one.slow_m2 + two.slow_m2))
+    by_mount = one.by_mount_m - two.by_mount_m
+    mount_m2 = 0.5 * float(np.trace(by_mount @ look.mount @ by_mount.T))
+    errors_m2 = GATE_CHI2 * (one.own_m2 + two.own_m2 + changed * (one.slow_m2 + two.slow_m2) + mount_m2)
     walked_m = WALK_M_S * min(apart_s, WALKED_S)
     return float(np.sqrt(errors_m2 + walked_m**2 + (GATE_PX * one.pixel_m) ** 2))
 
 
-def _past(s: FeatureSet, locator: Locator, scale: GroundScale, origin: LocalFrame) -> _Past:
+def _past(s: FeatureSet, locator: Locator, scale: GroundScale, origin: LocalFrame, pointing: Pointing | None) -> _Past:
     camera_m = origin.to_enu(s.camera_lat_deg, s.camera_lon_deg, s.camera_height_m)
     camera = s.camera
     offset = locator.offset([0.5 * (camera.width_px - 1.0), 0.5 * (camera.height_px - 1.0)])
     middle = camera_m[:2] + (offset[:2] if isinstance(offset, np.ndarray) else 0.0)
     side_m = float(np.sqrt(max(scale.area_m2(camera.size_px), 1.0)))
-    return _Past(s, camera_m, middle, 2.0 * side_m)
+    mount = np.zeros((STATES, STATES)) if pointing is None else pointing.covariance
+    return _Past(s, camera_m, middle, 2.0 * side_m, mount)
 
 
 def _assigned(places: list[_Place], observed: list[_Seen], now: _Past) -> tuple[dict[int, _Seen], set[int]]:

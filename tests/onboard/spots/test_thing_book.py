@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+import pytest
 
 from contract.camera import Camera
 from contract.feature_set import FeatureSet
@@ -12,6 +13,7 @@ from contract.locate import Locator, pixels_of
 from contract.spot import ThingKind
 from onboard.spots.detector import PARTS
 from onboard.spots.ground_scale import ground_scale
+from onboard.spots.second_camera import Pointing
 from onboard.spots.thing_book import ThingBook, ThingSeen
 from onboard.spots.thing_net import Peak
 from onboard.spots.thing_odds import Again, ScoreLaw
@@ -45,6 +47,16 @@ class Sampled:
             if ahead[0] and (uv[0] > 0).all() and (uv[0] < CAMERA.size_px).all():
                 out.append(Peak(ThingKind.PERSON, score, float(uv[0, 0]), float(uv[0, 1]), 10.0, 10.0))
         return sorted(out, key=lambda peak: -peak.score)
+
+
+@dataclass
+class Given:
+    """A net that finds what it is given."""
+
+    found: list[Peak]
+
+    def peaks(self, values: np.ndarray) -> list[Peak]:
+        return self.found
 
 
 class Flight:
@@ -83,6 +95,28 @@ def test_a_clear_thing_is_reported_at_once_and_faint_looks_before_it_count_for_i
             flight.look([(3.0, 4.0, score)], (3.0 * k, 0.0))
         odds.append(flight.look([(3.0, 4.0, 0.9)], (6.0, 0.0))[0].log_odds)
     assert odds[0] > odds[1] + 0.5
+
+
+@pytest.mark.parametrize(("sigma_deg", "places"), [(0.0, 2), (2.0, 1)])
+def test_from_opposite_legs_a_second_camera_shows_a_person_at_one_place_as_far_as_its_mount_is_known(
+    sigma_deg: float, places: int
+) -> None:
+    """Its roll is 3 degrees off what is stated: 4 m to the left on one leg, to the right on the other."""
+    flight, off_px = Flight(per_picture=0), np.radians(3.0) * CAMERA.fx_px
+    covariance = np.diag([*3 * [np.radians(sigma_deg) ** 2], 0.0])
+    for north_m, heading in ((-3.0, 1.0), (3.0, -1.0)):
+        turned = np.diag([heading, heading, 1.0])
+        s = set_of(CAMERA, Pose(np.array([0.0, north_m, HEIGHT_M]), turned @ DOWN), 0)
+        s = replace(s, capture_unix_ns=s.capture_unix_ns + (heading < 0.0) * 60 * 10**9)
+        flight.net.its_set, flight.net.things = s, [(0.0, 0.0, 0.9)]
+        seen = [replace(peak, u_px=peak.u_px + off_px) for peak in flight.net.peaks(np.zeros((1, 1)))]
+        flight.book._net = Given(seen)
+        scale, still = ground_scale(s, PARTS), np.zeros(3)
+        assert scale is not None
+        plane = np.array([0.0, 0.0, 1.0 / HEIGHT_M])
+        pointing = Pointing(CAMERA, plane, still, still, covariance, 0.0)
+        flight.book.look(np.zeros((512, 640), np.float32), Locator(s), scale, ORIGIN, pointing)
+    assert len(clear(flight)) == places
 
 
 def test_two_people_5_m_apart_are_two_and_each_keeps_its_own_odds() -> None:
