@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -71,7 +71,11 @@ def read_laws(path: Path = CALIBRATION) -> dict[ThingKind, ScoreLaw]:
 def _law(of: dict[str, Any]) -> ScoreLaw:
     edges = np.array(of["edges"])
     first = int(np.searchsorted(edges, LEAST_SCORE))
-    again = Again(**of["found_again"]), Again(**of["false_again"])
+    found, false = Again(**of["found_again"]), Again(**of["false_again"])
+    # No lost look in n pairs is no proof that none ever is; and what hides a thing hides what resembles one as well, so
+    # that a look without a peak hardly speaks for a thing.
+    found = replace(found, lost=max(found.lost, 1.0 / (of["found_again_places"] + 2.0)))
+    again = found, replace(false, lost=max(false.lost, found.lost))
     return ScoreLaw(
         edges[first:], np.array(of["found"])[first:], np.array(of["false_per_mpx"])[first:], *again, of["flights"]
     )

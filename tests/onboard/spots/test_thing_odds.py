@@ -105,6 +105,15 @@ def test_of_places_stated_to_be_likely_so_many_are_things() -> None:
     assert judged >= 3
 
 
+@pytest.mark.parametrize("kind", ThingKind)
+def test_one_look_without_a_peak_neither_rules_a_clear_thing_out_nor_speaks_for_it(kind: ThingKind) -> None:
+    """Whatever share of lost looks the calibration's pairs happen to have: none, where those of ground have many."""
+    law = read_laws()[kind]
+    for k in range(len(law.found)):
+        changed = odds_of([k, MISSED], law) - odds_of([k], law)
+        assert -np.log(4000.0) < changed < 0.6
+
+
 def test_the_calibration_of_the_weights_is_a_law_for_each_kind() -> None:
     laws = read_laws()
     assert set(laws) == set(ThingKind)
