@@ -11,6 +11,7 @@ from contract.answer import CONFIDENCE, EXPLANATIONS, Place, rounded, time_utc
 from contract.feature_set import Status
 
 PERSON_K = 8.0  # above the ground, of a person who is looked for, as the camera sees it: through the air
+LEAST_LIKELY = 0.01
 MOST_SPOTS = 6  # that a packet holds, with room for outlines
 
 
@@ -50,8 +51,12 @@ class Spot:
 
     @property
     def probability(self) -> float | None:
-        """The probability that it is of that `kind`; None for a spot that is only hot."""
-        return None if self.kind is None else 1.0 / (1.0 + math.exp(-self.log_odds))
+        """The probability that it is of that `kind`; None for a spot that is only hot.
+
+        From LEAST_LIKELY to 1 less that: no calibration holds enough things to state more.
+        """
+        most = math.log(1.0 / LEAST_LIKELY - 1.0)
+        return None if self.kind is None else 1.0 / (1.0 + math.exp(-min(max(self.log_odds, -most), most)))
 
     def to_dict(self) -> dict[str, object]:
         """Return the JSON object; figures of the place only if it is known."""
@@ -86,14 +91,11 @@ class Spot:
 
 
 def likely_text(kind: ThingKind | None, probability: float | None) -> str:
-    """What a net takes a spot for, and how likely that is: for people, to go before its heat; empty if it is only hot.
-
-    Never "100 %": no more than 99.
-    """
+    """What a net takes a spot for, and how likely that is: for people, before its heat; empty if it is only hot."""
     if kind is None or probability is None:
         return ""
     word = {ThingKind.OTHER: "another thing"}.get(kind, f"a {kind.value}")
-    return f"{word}, {min(max(round(100.0 * probability), 1), 99)} % likely, "
+    return f"{word}, {round(100.0 * probability)} % likely, "
 
 
 def person_text(share: float) -> str:

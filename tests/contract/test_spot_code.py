@@ -140,6 +140,13 @@ def test_what_a_net_takes_a_spot_for_is_two_bytes_more_of_each_spot_and_nothing_
             decode_spots(b[:47] + bytes([kind, steps]) + b[49:])
 
 
+def test_no_odds_are_stated_as_certain() -> None:
+    for log_odds, stated in ((800.0, 0.99), (-800.0, 0.01), (0.0, 0.5)):
+        spot = replace(REPORT.spots[0], kind=ThingKind.PERSON, log_odds=log_odds)
+        assert spot.to_dict()["probability"] == pytest.approx(stated, abs=1e-3)
+        assert f"a person, {round(100.0 * stated)} % likely" in spot.to_text()
+
+
 def test_what_would_be_found_is_a_byte_behind_the_head() -> None:
     plain, b = encode_spots(REPORT), encode_spots(replace(REPORT, person_found=0.96))
     assert b[1] == plain[1] | 0x20 and b[20] == round(0.96 * 255) and b[2:20] + b[21:] == plain[2:]
