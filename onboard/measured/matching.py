@@ -31,7 +31,9 @@ class Match:
     """Inverse depth (1/m), the surface's slope, and the parts of the depth's variance: the pictures' noise, the poses
     of the views. `rest`: by how much more than by both the views contradict each other, squared, over what is expected.
 
-    `across_sigmas`: how far the views' patches lie off their epipolar lines, in sigmas, root mean square.
+    `toward_set`: by how much of itself the depth changes to have the errors that the set's features have in common, and
+    `by_modes`, the variance of that. `across_sigmas`: how far the views' patches lie off their epipolar lines, in
+    sigmas, root mean square.
     """
 
     inverse_depth_per_m: float
@@ -40,12 +42,14 @@ class Match:
     by_poses: float
     rest: float
     across_sigmas: float
+    toward_set: float
+    by_modes: float
     by_surface: float = 0.0  # how uneven the surface is next to the click
 
     @property
     def sigma_per_m(self) -> float:
-        """One sigma of the inverse depth. (29.12)"""
-        return math.sqrt((self.by_pictures + self.by_poses) * max(self.rest, 1.0) + self.by_surface)
+        """One sigma of the inverse depth. (29.14)"""
+        return math.sqrt((self.by_pictures + self.by_poses) * max(self.rest, 1.0) + self.by_modes + self.by_surface)
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +88,7 @@ def matched(
         w, slope = w + float(step[0]), slope + step[1:]
         if not abs(w / start[0] - 1.0) < MOST_STEP:
             return None
-    return _with_errors(rows, covariance[0], views, features, w, slope)
+    return _with_errors(rows, covariance[0], views, features, (patch.rays[0], w, slope))
 
 
 def linearised(patch: Patch, view: View, w: float, slope: Array, window: Mask) -> Row:
@@ -112,9 +116,10 @@ def normalised(values: Values | Array) -> tuple[Array, float]:
 
 
 def _with_errors(
-    rows: Sequence[Row], by_score: Array, views: Sequence[View], features: Features, w: float, slope: Array
+    rows: Sequence[Row], by_score: Array, views: Sequence[View], features: Features, found: tuple[Array, float, Array]
 ) -> Match:
-    """(29.8) to (29.11). `by_score` (3,): the first row of the normal matrix's inverse."""
+    """(29.8) to (29.13). `by_score` (3,): the first row of the normal matrix's inverse; `found`: ray, w, slope."""
+    ray, w, slope = found
     L = [row.J @ by_score / row.noise for row in rows]  # d w / d residual, (n,) of each view
     own = [float(each @ each) * row.noise for each, row in zip(L, rows, strict=True)]
     # Half of the residual's noise is the clicked patch's, the same in all views.
@@ -132,7 +137,24 @@ def _with_errors(
     # So few differences know their variance badly: widened so that 1.645 sigmas hold 90 % of Student's t.
     student = float(stdtrit(free, 0.95)) / 1.645
     rest = float((apart**2 / (np.array(own) + posed)).sum()) / free * student**2
-    return Match(w, slope, by_pictures, by_poses, rest, _across(rows))
+    toward_set, unknown = _toward_set(ray, c, w, views, features.modes_cov)
+    return Match(w, slope, by_pictures, by_poses, rest, _across(rows), toward_set, unknown * w * w)
+
+
+def _toward_set(
+    ray: Array, by_poses: Sequence[Array], w: float, views: Sequence[View], cov: Array
+) -> tuple[float, float]:
+    """The relative change by which a depth that the views give gets the set's common errors, and its variance. (29.13)
+
+    `by_poses`: d w / d pose, (6,) of each view, with the opposite sign.
+    """
+    seen = -np.sum([ck @ view.modes.by_pose for ck, view in zip(by_poses, views, strict=True)], axis=0) / w
+    missing = np.array([1.0, *ray[:2]]) - seen
+    # All views show the same features, whose own depths are the larger part of their errors: together as one view.
+    information = np.mean([view.modes.information for view in views], axis=0)
+    known = np.linalg.solve(np.eye(3) + cov @ information, cov)
+    modes = known @ np.mean([view.modes.toward for view in views], axis=0)
+    return float(missing @ modes), max(float(missing @ known @ missing), 0.0)
 
 
 def _across(rows: Sequence[Row]) -> float:

@@ -1,4 +1,4 @@
-"""A clicked pixel -> its own inverse depth with an error of its own, or why it has none. (29.1) to (29.13)"""
+"""A clicked pixel -> its own inverse depth with an error of its own, or why it has none. (29.1) to (29.14)"""
 
 from __future__ import annotations
 
@@ -73,12 +73,13 @@ def measure(patch: Patch, views: Sequence[View], features: Features, sought: Sou
     match = matched(patch, seeing, features, (w, found.slope), WINDOWS[:, window] > 0.0)
     if match is None:
         return Measured.NO_TEXTURE
-    # Windows about the click that see the same surface show how uneven it is next to the click. (29.12)
+    # Windows about the click that see the same surface show how uneven it is next to the click. (29.11)
     near = np.abs(found.w[:SMALL] - w) < UNEVEN_STEPS * found.step
     uneven = float(np.mean((found.w[:SMALL][near] - match.inverse_depth_per_m) ** 2)) if near.any() else 0.0
     count = WINDOWS.sum(axis=0)
     alone = match.by_pictures * float(count[window] / count[0]) + (PARABOLA_STEPS * found.step) ** 2
-    return replace(match, by_surface=max(uneven - alone, 0.0))
+    w = match.inverse_depth_per_m * (1.0 + match.toward_set)
+    return replace(match, inverse_depth_per_m=w, by_surface=max(uneven - alone, 0.0))
 
 
 def _sweep(patch: Patch, views: Sequence[View], sought: Sought) -> _Swept | Measured:

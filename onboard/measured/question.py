@@ -1,4 +1,4 @@
-"""A set and a pixel -> the same set with the pixel measured: where it is looked for, and how far. (29.13)"""
+"""A set and a pixel -> the same set with the pixel measured: where it is looked for, and how far. (29.15)"""
 
 from __future__ import annotations
 

@@ -1,13 +1,13 @@
 """Other pictures of a clicked one's ground: where their cameras are, seen from the clicked camera. (29.1)
 
-Poses are relative to the clicked picture's: what its set has in common with them cancels, and what is measured over its
-features has the errors that they have in common.
+Poses are relative to the clicked picture's: what its set has in common with them cancels. What is measured over its
+features has their common scale, and part of the tilts that they have in common (29.13).
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 import cv2
@@ -38,12 +38,15 @@ LEAST_SIGMA_PX, MOST_SIGMA_PX = 0.05, 1.0  # what is off by more was not found a
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """A clicked picture's features (N,): pixels, rays (N, 3) at depth one, inverse depth, one sigma of its log."""
+    """A clicked picture's features (N,): pixels, rays (N, 3) at depth one, inverse depth, one sigma of its log, and the
+    covariance (3, 3) of the modes (1, x, y) by which these logs are off together.
+    """
 
     uv_px: Array
     rays: Array
     inverse_depth_per_m: Array
     relative_sigma: Array
+    modes_cov: Array = field(default_factory=lambda: np.zeros((3, 3)))
 
     @classmethod
     def of(cls, clicked: FeatureSet) -> Features:
@@ -52,7 +55,19 @@ class Features:
         w = clicked.inverse_depth_per_m
         keep = valid & (w > 0.0)
         sigma = clicked.sigma_inverse_depth_per_m[keep] / w[keep]
-        return cls(clicked.uv_px[keep], rays[keep], w[keep], sigma)
+        return cls(clicked.uv_px[keep], rays[keep], w[keep], sigma, clicked.common_cov[6:9, 6:9])
+
+
+@dataclass(frozen=True, eq=False)
+class Modes:
+    """The modes by which a set's features are off together, as one view shows them (29.12): `by_pose` (6, 3), how its
+    pose moves with them; the information (3, 3) of them that the features' pixels have beyond the pose, and its right
+    side (3,).
+    """
+
+    by_pose: Array
+    information: Array
+    toward: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +87,7 @@ class View:
     by_feature: Array
     by_depth: Array
     pixel_sigma_px: float
+    modes: Modes
 
 
 _frame_at = lru_cache(maxsize=512)(LocalFrame)  # each click asks for those of all kept pictures
@@ -122,17 +138,17 @@ def view_of(
     solved = resect(*start, few, rays[rows, :2], camera.focal_px)
     if solved is None:
         return None
-    R, centre, by_pixel, by_depth, sigma_px = solved
+    R, centre, by_pixel, by_depth, sigma_px, modes = solved
     every = np.zeros((6, len(kept), 2)), np.zeros((6, len(kept)))
     every[0][:, rows], every[1][:, rows] = by_pixel, by_depth
-    return View(other_image, camera, R, centre, *every, sigma_px)
+    return View(other_image, camera, R, centre, *every, sigma_px, modes)
 
 
 def resect(
     R: Array, centre_m: Array, features: Features, xy: Array, focal_px: float
-) -> tuple[Array, Array, Array, Array, float] | None:
-    """The pose by which features are seen at `xy` (N, 2), undistorted; its `by_feature` and `by_depth`, and the pixels'
-    one sigma. (29.2), (29.3)
+) -> tuple[Array, Array, Array, Array, float, Modes] | None:
+    """The pose by which features are seen at `xy` (N, 2), undistorted; its `by_feature` and `by_depth`, the pixels' one
+    sigma, and what is seen of the features' modes. (29.2), (29.3), (29.12)
 
     What disagrees is left out, None if that is most.
     """
@@ -169,7 +185,15 @@ def resect(
     if sigma_px > MOST_SIGMA_PX:
         return None
     by_pixel = gain.reshape(6, -1, 2)
-    return R, centre_m, by_pixel, np.einsum("kni,ni->kn", by_pixel, -by_depth) * np.sqrt(s2), sigma_px
+    # Pixels and their weights in the last round: what is left of them when the pose has taken its part.
+    weighed = (W @ (residual - np.einsum("nik,k->ni", J, step))[..., None])[..., 0] * used[:, None]
+    by_log = np.einsum("kni,ni->kn", by_pixel, -by_depth)
+    each = np.concatenate([np.ones((len(w), 1)), features.rays[:, :2]], axis=1)  # (N, 3)
+    Z = by_depth[:, :, None] * each[:, None]  # (N, 2, 3)
+    by_pose = by_log @ each
+    information = np.einsum("nim,nij,njl->ml", Z, W * used[:, None, None], Z + J @ by_pose)
+    modes = Modes(by_pose, information, -np.einsum("nim,ni->m", Z, weighed))
+    return R, centre_m, by_pixel, by_log * np.sqrt(s2), sigma_px, modes
 
 
 def linearised(R: Array, centre_m: Array, features: Features, focal_px: float) -> tuple[Array, Array, Array]:

@@ -61,7 +61,7 @@ def test_a_pose_is_as_far_off_as_its_derivatives_by_the_features_state() -> None
         start = exp_so3(rng.normal(0.0, 1e-3, 3)) @ R, centre + rng.normal(0.0, 0.2, 3)
         found = resect(*start, wrong, xy, 300.0)
         assert found is not None
-        R_found, centre_found, by_pixel, by_depth, sigma_px = found
+        R_found, centre_found, by_pixel, by_depth, sigma_px, _ = found
         place = np.array([0.2, -0.1, 1.0])
         off = np.diff(
             [pixels(CAMERA, T @ (place - c / 100.0)) for T, c in ((R, centre), (R_found, centre_found))], axis=0
@@ -72,6 +72,30 @@ def test_a_pose_is_as_far_off_as_its_derivatives_by_the_features_state() -> None
         squares.append(float(off @ np.linalg.solve(cov, off)) / 2.0)
         assert sigma_px == pytest.approx(0.2, rel=0.6)
     assert 0.7 < np.mean(squares) < 1.35
+
+
+def test_a_pose_moves_with_what_the_features_have_in_common_as_it_states_and_its_pixels_show_what_that_is() -> None:
+    """Features all off by one mode at a time: the pose by finite differences, the mode from what is left. (29.12)"""
+    rng = np.random.default_rng(3)
+    features, R, centre = some_features(rng, sigma=1e-4), exp_so3(rng.normal(0.0, 0.05, 3)), np.array([14.0, 3.0, 1.0])
+    q = (features.rays - features.inverse_depth_per_m[:, None] * centre) @ R.T
+    xy = q[:, :2] / q[:, 2:]
+    each = np.column_stack([np.ones(60), features.rays[:, :2]])
+    plain = resect(R, centre, features, xy, 300.0)
+    assert plain is not None
+    for mode, step in enumerate(1e-4 * np.eye(3)):
+        wrong = replace(features, inverse_depth_per_m=features.inverse_depth_per_m * (1.0 + each @ step))
+        found = resect(R, centre, wrong, xy, 300.0)
+        assert found is not None
+        turned = found[0] @ plain[0].T
+        turn = np.array([turned[2, 1], turned[0, 2], turned[1, 0]])
+        moved = np.array([*turn, *(plain[0] @ (found[1] - plain[1]))])
+        stated = plain[5].by_pose[:, mode] * 1e-4
+        assert np.linalg.norm(moved - stated) < 0.05 * np.linalg.norm(stated)
+        shown = found[5].toward - plain[5].toward
+        np.testing.assert_allclose(
+            shown, plain[5].information @ step, atol=0.05e-4 * np.abs(plain[5].information).max()
+        )
 
 
 def test_a_view_is_mended_by_the_features_to_a_fraction_of_a_pixel() -> None:
