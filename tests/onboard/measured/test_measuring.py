@@ -81,24 +81,22 @@ def test_the_height_between_two_clicks_is_right_within_its_sigma_and_leaves_out_
 
 
 def test_a_click_has_the_tilt_that_its_set_is_off_by_within_a_sigma_that_states_how_well_it_does() -> None:
-    """Tilts of a hundredth, in five worlds; without (29.13) the errors are four times as large and 57 % inside."""
+    """Tilts of a hundredth, in three worlds; without (29.13) the errors are four times as large and 57 % inside."""
     off, z = [], []
     tilts = np.diag([1e-4, 1e-4, 1e-4, 1e-5, 1e-5, 1e-5, 1e-3, 1e-2, 1e-2]) ** 2
-    for seed in range(5):
+    for seed in range(3):
         world = World(seed=80 + seed)
-        clicked, questions = with_common_errors(world, seed, tilts), Questions()
+        clicked, rest, questions = with_common_errors(world, seed, tilts), others(world), Questions()
         modes = modes_of(clicked, world)
-        for uv in clicks_in(seed, 8):
-            pixel = questions.measured_set(
-                clicked.its_set, (float(uv[0]), float(uv[1])), clicked, others(world)
-            ).clicked
+        for uv in clicks_in(seed, 12):
+            pixel = questions.measured_set(clicked.its_set, (float(uv[0]), float(uv[1])), clicked, rest).clicked
             assert pixel is not None
             if pixel.is_measured:
                 ray = CAMERA.unproject(np.array([pixel.u_px, pixel.v_px]))[0]
                 depth = float(world.depths(CLICKED, np.array([pixel.u_px, pixel.v_px]))[0])
                 off.append(pixel.inverse_depth_per_m * depth - 1.0 - modes @ [1.0, *ray[:2]])
                 z.append(off[-1] * pixel.inverse_depth_per_m / pixel.sigma_per_m)
-    assert len(z) >= 35 and np.median(np.abs(off)) < 4e-4
+    assert len(z) >= 32 and np.median(np.abs(off)) < 4e-4
     assert np.mean(np.abs(z) < 1.645) >= 0.8 and 0.2 < np.median(np.abs(z)) < 0.9
 
 
