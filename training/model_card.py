@@ -94,10 +94,11 @@ def card(stated: Stated) -> str:
             "",
             "## Calibration",
             "",
-            f"`thermal_things.json` states for each kind how the scores of things and of false peaks fall, from"
-            f" {stated['calibration_pictures']} pictures that were not trained on. Its log likelihood ratio against"
-            f" that of {stated['calibration_test_pictures']} other pictures, neither trained nor calibrated on"
-            " (things in a megapixel, over false peaks):",
+            f"`thermal_things.json` states for each kind how the scores of things and of false peaks fall, from all"
+            f" {stated['calibration_pictures'] + stated['calibration_test_pictures']} pictures that were not trained"
+            f" on. How far that holds elsewhere: the log likelihood ratio (things in a megapixel, over false peaks)"
+            f" by {stated['calibration_pictures']} of them, against that of the {stated['calibration_test_pictures']}"
+            " others, of other ground:",
             "",
             *reliability_table(stated),
             "",
@@ -106,13 +107,6 @@ def card(stated: Stated) -> str:
             " (`training/again.py`):",
             "",
             *again_table(stated["kinds"]),
-            "",
-            "The logits of two looks correlate by"
-            f" {stated['test_pairs']['person']['false_correlation']} at"
-            f" {stated['test_pairs']['person']['false_places']} false places and"
-            f" {stated['test_pairs']['person']['thing_correlation']} at"
-            f" {stated['test_pairs']['person']['things']} people of {stated['test_pairs']['pairs']} pairs of the"
-            " others.",
             "",
             "## Limits",
             "",

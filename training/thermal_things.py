@@ -63,20 +63,20 @@ def judged(net: OnnxNet, pictures: Sequence[Labelled], looks: Looks, half: Looks
 def calibrated(path: Path, data: Split, training: str, is_trained_here: bool) -> dict[str, object]:
     """Return what `thermal_things.json` states: the input, the calibration by kind, and how far both can be trusted.
 
-    A net from elsewhere is calibrated on a part of the flights that test, of which its training has seen nothing
-    either: its figures are those of all of them, and the other part tests the calibration.
+    The calibration is of all pictures that training has not seen, because flights differ by more than a flight's own
+    pictures show. How far that of one part of them holds on the other is stated. For a net from elsewhere both parts
+    are of the flights that test, and its figures are those of all of them.
     """
     net = OnnxNet(path)
     looks, test = (look_at(pictures, net.maps_once) for pictures in (data.calibration, data.test))
     half, test_half = (look_at(pictures, net.maps, shrink=2) for pictures in (data.calibration, data.test))
-    pairs = pairs_of(data.calibration, net.maps_once)
-    kinds = tables(looks, half)
+    unseen, every, every_half = [*data.calibration, *data.test], joined(looks, test), joined(half, test_half)
+    pairs = [*pairs_of(data.calibration, net.maps_once), *pairs_of(data.test, net.maps_once)]
+    kinds = tables(every, every_half)
     for k, name in enumerate(KINDS):
-        kinds[name] |= again(counted(looks, k), pairs, k) | {"flights": flights(looks, k, stretches(data.calibration))}
-    if is_trained_here:
-        figures_of = judged(net, data.test, test, test_half)
-    else:
-        figures_of = judged(net, [*data.calibration, *data.test], joined(looks, test), joined(half, test_half))
+        kinds[name] |= again(counted(every, k), pairs, k) | {"flights": flights(every, k, stretches(unseen))}
+    judged_on = (data.test, test, test_half) if is_trained_here else (unseen, every, every_half)
+    figures_of = judged(net, *judged_on)
     return {
         "format": FORMAT, "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
         "input": {
@@ -87,7 +87,6 @@ def calibrated(path: Path, data: Split, training: str, is_trained_here: bool) ->
         "calibration_test_pictures": len(data.test),
         "kinds": kinds,
         "pairs": {"all": described(pairs), "moved": described(moved_pairs(pairs))},
-        "test_pairs": described(moved_pairs(pairs_of(data.test, net.maps_once))),
         "test": figures_of,
         "reliability": {name: reliability(counted(looks, k), test, k) for k, name in enumerate(KINDS)},
         "reliability_half_size": {name: reliability(counted(looks, k), test_half, k) for k, name in enumerate(KINDS)},

@@ -31,6 +31,7 @@ WALK_M_S, WALKED_S = 1.5, 3.0
 SLOW_S = 10.0  # the time constant of what pictures next to each other have in common
 EDGE_PX = 8.0  # nearer to the picture's edge no peak is missed
 STILL_PX = 20.0  # of ground; how looks from nearer to each other depend on each other has not been measured
+MOST_VIEWS = 8  # that count of one place; how many more depend on each other has not been measured
 KM2 = 1e-6  # a square metre
 MOST_GATE_M = 100.0
 
@@ -80,7 +81,7 @@ class _Place:
     def is_new_from(self, camera_m: Array) -> bool:
         """Note that the camera (3,) looks at it; return whether it has not from about there: a hover is one look."""
         apart_m = np.linalg.norm(np.array(self.from_m) - camera_m, axis=1)
-        is_new = bool(apart_m.min() >= STILL_PX * self.newest.pixel_m)
+        is_new = len(self.from_m) < MOST_VIEWS and bool(apart_m.min() >= STILL_PX * self.newest.pixel_m)
         if is_new:
             self.from_m.append(camera_m)
         return is_new

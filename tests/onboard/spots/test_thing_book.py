@@ -221,3 +221,13 @@ def test_of_sampled_ground_and_people_no_more_false_ones_are_reported_than_asked
                 false.add(int(np.hypot(*(ground - at).T).argmin()))
     assert 0.45 * len(people) < len(found) < 0.9 * len(people)  # 0.64 have a clear peak in one of two looks
     assert len(false) <= 3  # 0.1 km2 at 3 to a square kilometre: 0.3 expected, and 3 or more in 1 of 250 flights
+
+
+def test_an_orbit_makes_nothing_certain() -> None:
+    """Sixty views of ground that scores as high in each: no surer than by the eight that count."""
+    flight, log_odds = Flight(false_per_km2=100.0), []
+    for k in range(60):
+        at = 20.0 * np.array([np.cos(0.1 * k), np.sin(0.1 * k)])
+        seen = flight.look([(0.0, 0.0, 0.5)], (float(at[0]), float(at[1])))
+        log_odds += [one.log_odds for one in seen if one.peak.score == 0.5]
+    assert len(log_odds) > 20 and abs(log_odds[-1] - log_odds[19]) < 1.5
