@@ -6,6 +6,7 @@ from collections import deque
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import gammainc
 
 from onboard.spots.counted_ground import KEPT, CountedGround
 
@@ -15,7 +16,7 @@ LARGEST = 100  # contrasts of a picture
 FITTED, FITTED_KM2 = 40, 1000.0  # that the tail is fitted to: at least so many, and so many a square kilometre
 LEAST_PEAKS = 20
 UNLIKELY = 20.0  # flights like this one, in less than one of which a single contrast of the ground is so large
-CROWDED = 0.25  # of the pictures, those with the most such contrasts, in which these are things and no ground
+CROWDED = 0.05  # probability of as many such contrasts by chance, below which a picture's are things and no ground
 CENSORED = 0.1  # of them, the largest, which may be what is looked for: only that they are large is used
 SHAPE, SHAPE_SIGMA = 0.1, 0.03  # of the tail: rather heavier than an exponential, as far as that is not known
 _SHAPES = np.linspace(-0.4, 0.4, 34)  # without 0
@@ -72,11 +73,23 @@ class ClutterTail:
         base = float(fitted[-1])
         scale = (float(np.median(fitted)) - base) * SHAPE / float(2.0**SHAPE - 1.0)
         most = base + scale * float((len(fitted) * UNLIKELY) ** SHAPE - 1.0) / SHAPE
-        beyond = [int(np.count_nonzero(c > most)) for c in self._contrasts]
-        crowded = np.argsort(beyond)[::-1][: int(np.ceil(CROWDED * len(beyond)))]
-        left_out = np.concatenate([self._contrasts[k][: beyond[k]] for k in crowded])
+        beyond = np.array([np.count_nonzero(c > most) for c in self._contrasts])
+        left_out = np.concatenate([np.zeros(0), *(self._contrasts[k][: beyond[k]] for k in _crowded(beyond))])
         out: Array = every[~np.isin(every, left_out)]
         return out
+
+
+def _crowded(counts: NDArray[np.int64]) -> list[int]:
+    """Return the pictures that have more than the others' rate makes likely, one after the other, by `counts` (N,)."""
+    out: list[int] = []
+    order = np.argsort(counts)[::-1]
+    for k in order:
+        left = int(counts.sum() - counts[[*out, k]].sum())
+        rate = (0.5 + left) / (len(counts) - len(out))  # of the others, by Jeffreys' prior
+        if gammainc(counts[k], rate) >= CROWDED or counts[k] == 0:
+            break
+        out.append(int(k))
+    return out
 
 
 def _fit(excess: Array) -> tuple[float, float]:
