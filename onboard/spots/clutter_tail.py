@@ -80,7 +80,7 @@ class ClutterTail:
 
 
 def _crowded(counts: NDArray[np.int64]) -> list[int]:
-    """Return the pictures that have more than the others' rate makes likely, one after the other, by `counts` (N,)."""
+    """Return the pictures, the fullest first, whose counts (N,) the others' rate makes unlikely. (25.22)"""
     out: list[int] = []
     order = np.argsort(counts)[::-1]
     for k in order:

@@ -1,4 +1,4 @@
-"""The share of a picture's ground on which a person would be found now. (25.22)"""
+"""The share of a picture's ground on which a person would be found now. (25.23)"""
 
 from __future__ import annotations
 
