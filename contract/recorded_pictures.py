@@ -1,4 +1,4 @@
-"""Where the pictures of a session's files are, found once and read when asked for.
+"""The places of the pictures of a session's files, found once and read when asked for.
 
 Pictures as `recording.pictures` writes them: channel `pc/<vehicle>/pictures`, each before its frame's event. A file
 with chunks has none here: its sets are read, its pictures not.

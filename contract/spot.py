@@ -16,7 +16,7 @@ MOST_SPOTS = 6  # that a packet holds, with room for outlines
 
 
 class ThingKind(Enum):
-    """What a net takes a spot for; the wire has its place in this list, which grows at its end only."""
+    """The kind that a net takes a spot for; the wire has its place in this list, which grows at its end only."""
 
     PERSON = "person"
     VEHICLE = "vehicle"
@@ -91,7 +91,7 @@ class Spot:
 
 
 def likely_text(kind: ThingKind | None, probability: float | None) -> str:
-    """What a net takes a spot for, and how likely that is: for people, before its heat; empty if it is only hot."""
+    """Return the kind that a net takes a spot for and how likely that is, in words; empty if it is only hot."""
     if kind is None or probability is None:
         return ""
     word = {ThingKind.OTHER: "another thing"}.get(kind, f"a {kind.value}")

@@ -82,7 +82,7 @@ class RecordedSource:
 
     @cached_property
     def measures(self) -> bool:
-        """Whether it holds pictures to measure a pixel in, and there is a program that does."""
+        """True if it holds pictures to measure a pixel in, and there is a program that does."""
         if not PictureIndex(self._path).has_any(self.vehicle):
             return False
         try:

@@ -58,7 +58,7 @@ class FoundThing:
 
     @property
     def heat_text(self) -> str:
-        """What it is taken for, and the heat, in words."""
+        """The kind that it is taken for, and the heat, in words."""
         word = "colder" if self.contrast < 0.0 else "hotter"
         likely = likely_text(self.kind, self.probability)
         sigmas = f"{abs(self.contrast):.1f} sigmas {word} than its ground"

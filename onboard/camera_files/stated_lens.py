@@ -51,7 +51,7 @@ class Further:
 
 @dataclass(frozen=True)
 class StatedLens:
-    """What a file states, its principal point counted from the middle of the top-left pixel. Lengths in pixels.
+    """The content of a file, its principal point counted from the middle of the top-left pixel. Lengths in pixels.
 
     `sigma`: of a camera, where the file states it. `took` and `left`: what of the file went into it and what did not,
     as the file calls it.

@@ -1,4 +1,4 @@
-"""How much of places' errors a picture's have in common, and a session's. (25.12), (27.7)"""
+"""The shares of places' errors that a picture's have in common, and a session's. (25.12), (27.7)"""
 
 from __future__ import annotations
 

@@ -100,7 +100,7 @@ class SpotBook:
     def _seen_things(
         self, counts: NDArray[np.uint16], locator: Locator, pointing: Pointing | None
     ) -> list[tuple[Region, ThingSeen]]:
-        """What the net finds in a picture, the most likely first; nothing where the picture shows no ground."""
+        """Return the net's finds in a picture, the most likely first; nothing where the picture shows no ground."""
         ground = ground_scale(locator.feature_set, PARTS)
         if self._things is None or ground is None or self._origin is None:
             return []

@@ -103,7 +103,7 @@ class _Past:
 
 @dataclass(eq=False)
 class _Rate:
-    """How often this flight's ground resembles a kind, over how often the calibration's did. (25.18)"""
+    """The rate at which this flight's ground resembles a kind, over the calibration's. (25.18)"""
 
     law: ScoreLaw
     peaks: float = 0.0

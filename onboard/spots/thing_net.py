@@ -47,7 +47,7 @@ class ThingNet:
         self._least = least_score
 
     def peaks(self, values: NDArray[np.uint16] | Image) -> list[Peak]:
-        """What a picture (H, W) of any unit, gain and offset may show, the most likely first."""
+        """Return the peaks of a picture (H, W) of any unit, gain and offset, the most likely first."""
         height, width = values.shape
         self._net.setInput(given(values)[None])
         maps = np.asarray(self._net.forward(), np.float32)[0]

@@ -1,4 +1,4 @@
-"""How likely a place on the ground holds a thing, by every look at it: (25.14) to (25.18)."""
+"""The odds that a place on the ground holds a thing, by every look at it: (25.14) to (25.18)."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ LEAST_SCORE = 0.1  # what scores less is too common to decide anything
 
 @dataclass(frozen=True)
 class Again:
-    """How looks at one place depend on each other.
+    """The dependence of looks at one place on each other.
 
     `shared`: of what makes it score high, the part (of variance) that they have in common. `lost`: the share of looks
     that show nothing there, whatever it is like.
@@ -38,7 +38,7 @@ class Again:
 
 @dataclass(frozen=True, eq=False)
 class ScoreLaw:
-    """How peaks of one kind score, by classes of score: class k from `edges[k]` to `edges[k + 1]`, edges (N + 1,).
+    """The law by which peaks of one kind score. Class k is from `edges[k]` to `edges[k + 1]`, edges (N + 1,).
 
     `found` (N,): share of true things whose peak is in each class; the rest of 1 has no peak. `false_per_mpx` (N,):
     peaks in each class where no thing is, in a megapixel. `found_again` and `false_again`: how looks at one place with

@@ -40,7 +40,7 @@ def share_found(contrasts: Sequence[Contrast], thresholds: Mapping[float, float]
 
 @lru_cache(maxsize=256)
 def _excess(side_m: float, pixel_m: float) -> float:
-    """How far a person of 1 K stands out of level ground, K, in the contrast of things of `side_m`. (25.3)
+    """Return how far a person of 1 K stands out of level ground, K, for things of `side_m`. (25.3)
 
     The mean over where in a pixel it stands.
     """

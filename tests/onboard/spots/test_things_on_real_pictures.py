@@ -96,7 +96,7 @@ def is_at(boxes: NDArray[np.float64], u: float, v: float, about_px: float = 4.0)
 
 
 def test_most_people_have_a_peak_and_little_else_has_one_as_high(pictures: list[Labelled]) -> None:
-    """Of 48 pictures of two flights: the precision by falling score, over all of them, averaged over recall."""
+    """The precision by falling score over 48 pictures of two flights, averaged over recall."""
     net, ranked, people = ThingNet(0.05), [], 0
     for picture in pictures:
         boxes = picture.boxes.get(ThingKind.PERSON, np.zeros((0, 4)))
