@@ -73,7 +73,7 @@ def test_a_recording_that_cannot_be_measured_in_gives_the_program_s_own_line(tmp
 def test_the_commands_measure_in_a_recording_unless_interpolated_is_asked_for(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    where = ["--from", str(recording), "--frame", str(CLICKED), "--format", "json"]
+    where = ["--from", str(recording), "--frame", str(CLICKED), "--json"]
 
     def answer(*words: object, source: list[str] = where) -> dict[str, Any]:
         assert main([*map(str, words), *source]) == 0

@@ -206,8 +206,9 @@ def test_a_place_on_the_map_leads_to_the_pictures_that_show_it(anna: Operator, s
         f"api/vehicles/{simulated.vehicle}/frames/{first}/pixel?lat={place['lat_deg']}&lon={place['lon_deg']}"
     )
     click = anna.newest_pin()["clicks"][0]
-    assert reported["u_px"] == pytest.approx(click["u_px"], abs=0.5)
-    assert reported["v_px"] == pytest.approx(click["v_px"], abs=0.5)
+    # The click was measured; where nothing but a place is given, the height is that of the ground between features.
+    assert reported["u_px"] == pytest.approx(click["u_px"], abs=2.0)
+    assert reported["v_px"] == pytest.approx(click["v_px"], abs=2.0)
     page.get_by_test_id("seen-by").select_option("count")
     assert "20 or more" in page.locator(".seen-legend").inner_text()
     page.get_by_test_id("show-seen").click()

@@ -60,7 +60,7 @@ def test_a_roof_is_measured_over_the_link_within_half_a_second(endpoint: str) ->
 def test_the_command_states_measured_and_interpolated_leaves_it_out(
     endpoint: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = ["click", *map(str, ROOF), "--connect", endpoint, "--frame", str(CLICKED), "--format", "json"]
+    words = ["click", *map(str, ROOF), "--connect", endpoint, "--frame", str(CLICKED), "--json"]
     assert main(words) == 0
     measured = json.loads(capsys.readouterr().out)
     assert measured["method"] == "measured"
@@ -75,14 +75,14 @@ def test_measure_gives_the_height_of_a_building_where_interpolation_has_none(
 ) -> None:
     below = (160.0, 130.0)
     words = ["measure", *map(str, (*below, *ROOF)), "--connect", endpoint, "--frame", str(CLICKED)]
-    assert main([*words, "--format", "json"]) == 0
+    assert main([*words, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     east_m, north_m, up_m = np.diff(WORLD.depths(CLICKED, np.array([below, ROOF]))[1], axis=0)[0]
     assert found["height_difference_m"] == pytest.approx(up_m, abs=0.4) and up_m == pytest.approx(8.0)
     assert found["distance_m"] == pytest.approx(np.hypot(east_m, north_m), abs=0.4)
     assert 0.01 < found["sigma_height_difference_m"] < 0.4 < found["from"]["sigma_height_m"]
     assert [found[end]["method"] for end in ("from", "to")] == ["measured", "measured"]
-    assert main([*words, "--interpolated", "--format", "json"]) == 0
+    assert main([*words, "--interpolated", "--json"]) == 0
     assert abs(json.loads(capsys.readouterr().out)["height_difference_m"]) < 1.0
     assert main([*words[:3], "3", "3", *words[5:]]) == 0
     assert "not measured: border" in capsys.readouterr().out
@@ -157,5 +157,5 @@ def test_an_aircraft_that_measures_nothing_answers_as_ever_and_the_command_repor
     at = free_endpoint()
     with Publisher("uav-1", [at], rate=Rate(1e8, 0.2, 30.0)) as link:
         link.publish(WORLD.its_set(CLICKED))
-        assert main(["click", *map(str, GROUND), "--connect", at, "--frame", str(CLICKED), "--format", "json"]) == 0
+        assert main(["click", *map(str, GROUND), "--connect", at, "--frame", str(CLICKED), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["unmeasured"] == "the aircraft did not try"
