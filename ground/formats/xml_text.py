@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import re
 import xml.etree.ElementTree as ET
-from functools import lru_cache
-from xml.parsers import expat
 
 from contract.errors import InputError
+from contract.xml_root import xml_root
 
 # What XML 1.0 cannot hold at all, not even escaped.
 _UNWRITABLE = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 MAX_BYTES = 200_000_000
-HEAD_BYTES = 65_536
 
 
 def plain(text: str) -> str:
@@ -43,32 +41,7 @@ def parsed(data: bytes, what: str) -> ET.Element:
     if len(data) > MAX_BYTES:
         raise InputError(f"{what}: {len(data)} bytes; at most {MAX_BYTES} are read")
 
-    def refuse(*_: object) -> None:
-        raise InputError(f"{what}: declares a document type; a file of places needs none, so this is not read")
-
-    check = expat.ParserCreate()
-    check.StartDoctypeDeclHandler = refuse
     try:
-        _read_head(check, data)
-        root = ET.fromstring(data)
-    except (ET.ParseError, expat.ExpatError, ValueError, LookupError) as error:
-        raise InputError(f"{what}: not XML ({error})") from error
-    for node in root.iter():
-        node.tag = _without_namespace(node.tag)
-    return root
-
-
-def _read_head(check: expat.XMLParserType, data: bytes) -> None:
-    """Read up to the first element. A document type stands before it, or the document is not XML."""
-    begun: list[str] = []
-    check.StartElementHandler = lambda tag, _: begun.append(tag)
-    for start in range(0, len(data), HEAD_BYTES):
-        check.Parse(data[start : start + HEAD_BYTES], False)
-        if begun:
-            return
-    check.Parse(b"", True)
-
-
-@lru_cache(maxsize=1024)
-def _without_namespace(tag: str) -> str:
-    return tag.rpartition("}")[2]
+        return xml_root(data, "a file of places needs none")
+    except InputError as error:
+        raise InputError(f"{what}: {error}") from error

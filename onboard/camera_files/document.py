@@ -11,9 +11,9 @@ import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any
-from xml.parsers import expat
 
 from contract.errors import InputError
+from contract.xml_root import xml_root
 
 MAX_BYTES = 64_000_000  # a project's cameras with all of their pictures; a calibration alone is a few kB
 MAX_YAML_BYTES = 200_000  # seconds of PyYAML's
@@ -30,7 +30,7 @@ def content_of(path: Path) -> Content:
     if text.startswith(("{", "[")):
         return _json(text)
     if text.startswith("<"):
-        return _xml(text)
+        return xml_root(text.encode(), "no calibration needs one")
     found = _yaml(text) if len(text) <= MAX_YAML_BYTES and _may_be_yaml(text) else None
     return found if isinstance(found, dict | list) else text
 
@@ -61,24 +61,6 @@ def _json(text: str) -> Content:
         return found
     except (ValueError, RecursionError) as error:
         raise InputError(f"not JSON ({error})") from error
-
-
-def _xml(text: str) -> ET.Element:
-    check = expat.ParserCreate()
-    check.StartDoctypeDeclHandler = _refuse_doctype
-    try:
-        data = text.encode()
-        check.Parse(data, True)
-        root = ET.fromstring(data)
-    except (ET.ParseError, expat.ExpatError, ValueError, LookupError) as error:
-        raise InputError(f"not XML ({error})") from error
-    for node in root.iter():
-        node.tag = node.tag.rpartition("}")[2]
-    return root
-
-
-def _refuse_doctype(*_: object) -> None:
-    raise InputError("declares a document type; no calibration needs one, so this is not read")
 
 
 def _yaml(text: str) -> Any:
