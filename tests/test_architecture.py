@@ -61,7 +61,7 @@ ARROWS: dict[str, set[str]] = {
     "simulation.autopilot": {"simulation"},
     "demo": {"onboard", "ground", "simulation"},
     "benchmarks": {"onboard", "ground", "simulation", "tests"},
-    "training": set(),
+    "training": {"onboard.spots"},
 }  # fmt: skip
 # The error study simulates the estimator itself; the rest of the simulation knows nothing of what it tests.
 STUDY = re.compile(r"simulation\.study\w*")

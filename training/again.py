@@ -13,12 +13,13 @@ given the first.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammaln, ndtr, ndtri
+from scipy.special import gammaln
 
+from onboard.spots.thing_odds import LEAST, LEAST_SCORE, LOG_WEIGHTS, Again, reached, reached_given
 from training.calibration import MEGA, Counted
 from training.labelled_pictures import KINDS
 from training.repeats import GATE_PX, Pair, correlation, moved_pairs, of_kind
@@ -26,26 +27,17 @@ from training.score import Looks
 
 Array = NDArray[np.float64]
 
-LEAST_CLASS = 0.1  # lower scores are too common to mean anything, and count as no peak
-NODES = np.linspace(-8.0, 8.0, 129)
-WEIGHTS = np.exp(-0.5 * NODES**2) / np.exp(-0.5 * NODES**2).sum()
+WEIGHTS = np.exp(LOG_WEIGHTS)
 LOST, SHARED = np.arange(0.0, 0.62, 0.02), np.arange(0.0, 0.98, 0.02)
 LEAST_PAIRS = 30
-LEAST = 1e-300
 SHAPES = np.geomspace(0.1, 100.0, 121)
 
 
-class Again(NamedTuple):
-    """The dependence of looks: the part of variance that is `shared`, and the share of looks that are `lost`."""
+@dataclass(frozen=True)
+class Fitted(Again):
+    """The law that so many `places` follow best."""
 
-    shared: float
-    lost: float
     places: int
-
-
-def reached(shares: Array, first: int) -> Array:
-    """Return the probability to reach each class (K + 1,), from its share, without classes before `first`; then 0."""
-    return np.append(np.cumsum(shares[first:][::-1])[::-1], 0.0)
 
 
 def classes(scores: Array, edges: Array) -> NDArray[np.int64]:
@@ -53,27 +45,27 @@ def classes(scores: Array, edges: Array) -> NDArray[np.int64]:
     return np.minimum(np.searchsorted(edges, scores, side="right"), len(edges) - 1)
 
 
-def shown(reach: Array, shared: float, lost: float) -> Array:
+def shown(reach: Array, law: Again) -> Array:
     """Return the probability of each class (K + 1, nodes), the first no peak, at each value of what is shared."""
-    upper = np.append(1.0, np.minimum(reach / (1.0 - lost), 1.0))
-    above = ndtr((ndtri(upper)[:, None] + np.sqrt(shared) * NODES) / np.sqrt(1.0 - shared))
-    share: Array = (1.0 - lost) * np.maximum(above[:-1] - above[1:], 0.0)
-    share[0] += lost
+    above = reached_given(np.append(1.0, np.minimum(reach / (1.0 - law.lost), 1.0)), law)
+    share: Array = (1.0 - law.lost) * np.maximum(above[:-1] - above[1:], 0.0)
+    share[0] += law.lost
     return np.asarray(np.maximum(share, LEAST), dtype=np.float64)
 
 
-def fitted(reach: Array, pairs: NDArray[np.int64]) -> Again:
+def fitted(reach: Array, pairs: NDArray[np.int64]) -> Fitted:
     """Return the law that pairs of classes (N, 2) follow best."""
     table = np.zeros((len(reach), len(reach)))
     np.add.at(table, (pairs[:, 0], pairs[:, 1]), 1.0)
-    best, most = Again(0.0, 0.0, len(pairs)), -np.inf
+    best, most = Fitted(0.0, 0.0, len(pairs)), -np.inf
     for lost in LOST[1.0 - reach[0] >= LOST]:
         for shared in SHARED:
-            share = shown(reach, float(shared), float(lost))
+            law = Again(float(shared), float(lost))
+            share = shown(reach, law)
             both = (share * WEIGHTS) @ share.T
             value = float((table * np.log(both / both.sum(1, keepdims=True))).sum())
             if value > most:
-                best, most = Again(round(float(shared), 3), round(float(lost), 3), len(pairs)), value
+                best, most = Fitted(round(law.shared, 3), round(law.lost, 3), len(pairs)), value
     return best
 
 
@@ -83,16 +75,16 @@ def again(bins: Counted, pairs: Sequence[Pair], kind: int) -> dict[str, object]:
     A place that is known to be a false peak is not independent of its next look, nor a thing that is missed: without
     enough pairs all is shared, and more looks add nothing.
     """
-    first = int(np.searchsorted(bins.edges, LEAST_CLASS))
+    first = int(np.searchsorted(bins.edges, LEAST_SCORE))
     edges = bins.edges[first:]
     gate_mpx = np.pi * GATE_PX**2 / MEGA
-    ground = reached(bins.false_per_mpx, first)
-    laws = {"false": -np.expm1(-gate_mpx * ground), "found": reached(bins.found, first)}
+    ground = reached(bins.false_per_mpx[first:])
+    laws = {"false": -np.expm1(-gate_mpx * ground), "found": reached(bins.found[first:])}
     out: dict[str, object] = {}
     for name, scores in zip(("false", "found"), of_kind(moved_pairs(pairs), kind), strict=True):
         pairs_of_classes = np.stack([classes(scores[:, 0], edges), classes(scores[:, 1], edges)], 1)
         used = pairs_of_classes[pairs_of_classes[:, 0] > 0] if name == "false" else pairs_of_classes
-        law = fitted(laws[name], used) if len(used) >= LEAST_PAIRS else Again(float(SHARED[-1]), 0.0, len(used))
+        law = fitted(laws[name], used) if len(used) >= LEAST_PAIRS else Fitted(float(SHARED[-1]), 0.0, len(used))
         out[f"{name}_again"] = {"shared": law.shared, "lost": law.lost}
         out[f"{name}_again_places"] = law.places
     return out
@@ -101,9 +93,9 @@ def again(bins: Counted, pairs: Sequence[Pair], kind: int) -> dict[str, object]:
 def flights(looks: Looks, kind: int, flight: NDArray[np.int64]) -> float:
     """Return the shape of the gamma law, of mean 1, by which flights differ in the rate of false peaks.
 
-    `flight` (P,): which stretch of flight each picture is of. Of scores from `LEAST_CLASS` on the lower half counts.
+    `flight` (P,): which stretch of flight each picture is of. Of scores from `LEAST_SCORE` on the lower half counts.
     """
-    false = (looks.peak_kind == kind) & ~looks.peak_true & (looks.peak_score >= LEAST_CLASS)
+    false = (looks.peak_kind == kind) & ~looks.peak_true & (looks.peak_score >= LEAST_SCORE)
     counted = false & (looks.peak_score <= np.median(looks.peak_score[false])) if false.any() else false
     count = np.bincount(flight[looks.peak_picture[counted]], minlength=flight.max() + 1).astype(np.float64)
     pixels = np.bincount(flight, looks.pixels)
@@ -122,7 +114,7 @@ def described(pairs: Sequence[Pair]) -> dict[str, object]:
         out[name] = {
             "false_places": len(false), "false_correlation": correlation(false), "things": len(things),
             "thing_correlation": correlation(things),
-            "false_again": round(float((false[:, 1] >= LEAST_CLASS).mean()), 3) if len(false) else None,
+            "false_again": round(float((false[:, 1] >= LEAST_SCORE).mean()), 3) if len(false) else None,
             "false_above_0.5": int((false[:, 0] >= 0.5).sum()),
             "of_these_again_above_0.5": int(((false >= 0.5).all(1)).sum()),
         }  # fmt: skip

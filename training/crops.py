@@ -10,13 +10,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from onboard.spots.thing_net import LOCAL_PX, Image
 from training.labelled_pictures import Grey, Labelled
-from training.net_input import BOX_PX, WHITE, Image, level_of_histogram, net_input
+from training.net_input import WHITE, level_of_histogram, net_input
 
 Array = NDArray[np.float64]
 
 SIDE_PX = 256
-MARGIN_PX = BOX_PX // 2  # the means of 33 x 33 pixels at a crop's edge see what lies outside
+MARGIN_PX = LOCAL_PX // 2  # the means of 33 x 33 pixels at a crop's edge see what lies outside
 LOG_SCALE = (-0.35, 0.45)
 TURN_RAD = 0.3
 ASIDE = 0.42  # of a crop's side: so far from its middle may lie what it is taken for

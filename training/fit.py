@@ -15,10 +15,11 @@ import torch
 from numpy.typing import NDArray
 from torch.nn import functional
 
+from onboard.spots.thing_net import STRIDE
 from training.crops import Crop, Crops
 from training.labelled_pictures import KINDS, Labelled
 from training.net import Net
-from training.net_input import STRIDE_PX, level_of, net_input
+from training.net_input import level_of, net_input
 from training.peaks import judge, peaks_of
 from training.targets import targets_of
 
@@ -52,14 +53,14 @@ class Progress:
 
 
 def batch_of(crops: list[Crop]) -> Batch:
-    side = crops[0].counts.shape[0] // STRIDE_PX
+    side = crops[0].counts.shape[0] // STRIDE
     targets = [targets_of(crop.things, side, side) for crop in crops]
-    middle = STRIDE_PX // 2
+    middle = STRIDE // 2
     cells = [np.c_[np.full(len(t.cells), i), t.cells] for i, t in enumerate(targets)]
     return Batch(
         inputs=torch.from_numpy(np.stack([c.channels for c in crops])).to(memory_format=torch.channels_last),
         heat=torch.from_numpy(np.stack([t.heat for t in targets])),
-        counts=torch.from_numpy(np.stack([c.counts[None, middle::STRIDE_PX, middle::STRIDE_PX] for c in crops])),
+        counts=torch.from_numpy(np.stack([c.counts[None, middle::STRIDE, middle::STRIDE] for c in crops])),
         cells=torch.from_numpy(np.vstack(cells)),
         shapes=torch.from_numpy(np.vstack([t.shapes for t in targets])),
     )

@@ -8,12 +8,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-Image = NDArray[np.float32]
+from onboard.spots.thing_net import Image, channels
 
-BOX_PX = 33
 WHITE = 255.0
-LEAST_SPREAD, LEAST_LOCAL_SPREAD, MOST = 1e-3, 0.1, 6.0  # of the range of grey; of the picture's spread; sigmas
-STRIDE_PX, MULTIPLE_PX = 4, 16  # a cell of the output; what the sides of a picture are multiples of
+LEAST_SPREAD = 1e-3  # of the range of grey
 
 
 class Level(NamedTuple):
@@ -42,8 +40,4 @@ def net_input(grey: Image | NDArray[np.uint8], level: Level) -> Image:
     over the spread there. Neither changes with gain or offset.
     """
     y = (grey.astype(np.float32) - np.float32(level.mean)) / np.float32(level.spread + LEAST_SPREAD * WHITE)
-    around = cv2.boxFilter(y, -1, (BOX_PX, BOX_PX), borderType=cv2.BORDER_REFLECT_101)
-    off = y - around
-    variance = cv2.boxFilter(off * off, -1, (BOX_PX, BOX_PX), borderType=cv2.BORDER_REFLECT_101)
-    stacked = np.stack([y, off / (np.sqrt(np.maximum(variance, 0.0)) + np.float32(LEAST_LOCAL_SPREAD))])
-    return np.clip(stacked, -MOST, MOST).astype(np.float32)
+    return channels(y)

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from onboard.spots.thing_net import SIZE_UNIT_PX, STRIDE, are_peaks
 from training.labelled_pictures import KINDS
-from training.net_input import STRIDE_PX
-from training.targets import SIZE_PX
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 LEAST_SCORE = 0.02
-PEAK_CELLS = 5
 ASIDE_PX = 4.0  # a peak is a thing's if it lies so far from its box, or nearer
 
 
@@ -46,13 +43,12 @@ def peaks_of(maps: NDArray[np.float32], least: float = LEAST_SCORE) -> Peaks:
     found: list[NDArray[np.int64]] = []
     for kind in range(len(KINDS)):
         heat = maps[kind]
-        top = np.asarray(cv2.dilate(heat, np.ones((PEAK_CELLS, PEAK_CELLS), np.uint8)))
-        cells = np.argwhere((heat >= top) & (heat >= least))
+        cells = np.argwhere(are_peaks(heat) & (heat >= least))
         found.append(np.c_[np.full(len(cells), kind), cells].astype(np.int64))
     kind, row, column = np.vstack(found).T
     offset = maps[len(KINDS) :, row, column].astype(np.float64)
-    middle = (np.stack([column, row], 1) + offset[:2].T + 0.5) * STRIDE_PX - 0.5
-    return Peaks(kind, middle, SIZE_PX * np.exp(offset[2:4].T), maps[kind, row, column].astype(np.float64))
+    middle = (np.stack([column, row], 1) + offset[:2].T + 0.5) * STRIDE - 0.5
+    return Peaks(kind, middle, SIZE_UNIT_PX * np.exp(offset[2:4].T), maps[kind, row, column].astype(np.float64))
 
 
 def judge(peaks: Peaks, things: Array, left_open: Array) -> Judged:

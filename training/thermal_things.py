@@ -20,16 +20,16 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from onboard.spots.thing_net import LARGEST, LOCAL_FLOOR, LOCAL_PX, PEAK_CELLS, SIZE_UNIT_PX, STRIDE
 from training.again import again, described, flights
 from training.calibration import counted, reliability, tables
 from training.labelled_pictures import KINDS, UNTOUCHED_PART, Grey, Labelled, Split, read_all, split, stretches
 from training.model_card import card
-from training.net_input import BOX_PX, LEAST_LOCAL_SPREAD, LEAST_SPREAD, MOST, STRIDE_PX
-from training.peaks import LEAST_SCORE, PEAK_CELLS
+from training.net_input import LEAST_SPREAD
+from training.peaks import LEAST_SCORE
 from training.repeats import moved_pairs, pairs_of
 from training.run_onnx import OnnxNet
 from training.score import Looks, figures, joined, look_at, of_pictures
-from training.targets import SIZE_PX
 
 FORMAT = 1
 NAME = "thermal_things"
@@ -80,9 +80,9 @@ def calibrated(path: Path, data: Split, training: str, is_trained_here: bool) ->
     return {
         "format": FORMAT, "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
         "input": {
-            "box_px": BOX_PX, "least_spread": LEAST_SPREAD, "least_local_spread": LEAST_LOCAL_SPREAD, "most": MOST,
+            "box_px": LOCAL_PX, "least_spread": LEAST_SPREAD, "least_local_spread": LOCAL_FLOOR, "most": LARGEST,
         },
-        "output": {"stride_px": STRIDE_PX, "size_px": SIZE_PX, "peak_cells": PEAK_CELLS, "least_score": LEAST_SCORE},
+        "output": {"stride_px": STRIDE, "size_px": SIZE_UNIT_PX, "peak_cells": PEAK_CELLS, "least_score": LEAST_SCORE},
         "bytes": path.stat().st_size, "training": training, "calibration_pictures": len(data.calibration),
         "calibration_test_pictures": len(data.test),
         "kinds": kinds,

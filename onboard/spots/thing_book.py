@@ -76,7 +76,7 @@ class _Place:
 
     newest: _Seen
     odds: PlaceOdds
-    from_m: deque[Array]
+    from_m: list[Array]
 
     def is_new_from(self, camera_m: Array) -> bool:
         """Note that the camera (3,) looks at it; return whether it has not from about there: a hover is one look."""
@@ -192,7 +192,7 @@ class ThingBook:
         self._ground.add(now.middle_m, area_km2)
         mpx = 1e-6 * camera.width_px * camera.height_px * float(scale.is_ground.mean())
         for kind, of in self._kinds.items():
-            low = _low_classes(of.law)
+            low = of.law.low_classes
             classes = np.array([of.law.class_of(p.score) for p in peaks if p.kind is kind], int)
             of.rate.peaks += int(np.count_nonzero((classes >= 0) & (classes < low)))
             of.rate.expected += mpx * float(of.law.false_per_mpx[:low].sum())
@@ -211,7 +211,7 @@ class ThingBook:
                 place.newest = observation
                 seen.append(place)
         begun = [
-            _Place(observation, PlaceOdds(of.law), deque([now.camera_m], MOST_LOOKS))
+            _Place(observation, PlaceOdds(of.law), [now.camera_m])
             for j, observation in enumerate(observed)
             if j not in used
         ]
@@ -239,12 +239,6 @@ def _add(of: _Kind, place: _Place, observation: _Seen | None, gate_m: float) -> 
     place.odds.look(
         score_class, 1e-6 * area_m2 / (observation or place.newest).pixel_m ** 2, KM2 * area_m2, of.rate.value
     )
-
-
-def _low_classes(law: ScoreLaw) -> int:
-    """The lowest classes that hold half of all false peaks."""
-    share = np.cumsum(law.false_per_mpx) / max(float(law.false_per_mpx.sum()), 1e-300)
-    return int(np.searchsorted(share, 0.5)) + 1
 
 
 def _placed(peaks: list[Peak], locator: Locator, camera_m: Array, pointing: Pointing | None) -> list[_Seen]:

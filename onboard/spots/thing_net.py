@@ -53,8 +53,7 @@ class ThingNet:
         maps = np.asarray(self._net.forward(), np.float32)[0]
         found = []
         for kind, scores in zip(KINDS, maps, strict=False):
-            top = np.asarray(cv2.dilate(scores, np.ones((PEAK_CELLS, PEAK_CELLS), np.uint8)))
-            for row, column in np.argwhere((scores >= top) & (scores > self._least)):
+            for row, column in np.argwhere(are_peaks(scores) & (scores > self._least)):
                 right, down, log_width, log_height = (float(c) for c in maps[len(KINDS) :, row, column])
                 u, v = ((cell + by + 0.5) * STRIDE - 0.5 for cell, by in ((column, right), (row, down)))
                 if not (-0.5 <= u < width - 0.5 and -0.5 <= v < height - 0.5):
@@ -62,6 +61,12 @@ class ThingNet:
                 size = (SIZE_UNIT_PX * float(np.exp(min(log, 6.0))) for log in (log_width, log_height))
                 found.append(Peak(kind, float(scores[row, column]), float(u), float(v), *size))
         return sorted(found, key=lambda peak: -peak.score)
+
+
+def are_peaks(scores: Image) -> NDArray[np.bool_]:
+    """Return which cells of a map (h, w) are the greatest of the PEAK_CELLS to a side about them."""
+    out: NDArray[np.bool_] = scores >= np.asarray(cv2.dilate(scores, np.ones((PEAK_CELLS, PEAK_CELLS), np.uint8)))
+    return out
 
 
 def given(values: NDArray[np.uint16] | Image) -> Image:
@@ -75,7 +80,11 @@ def given(values: NDArray[np.uint16] | Image) -> Image:
     mean, spread = float(whole.mean(dtype=np.float64)), float(whole.std(dtype=np.float64))
     whole = (whole - np.float32(mean)) / np.float32(max(spread, 1e-6))
     below, right = -height % MULTIPLE, -width % MULTIPLE
-    whole = np.asarray(cv2.copyMakeBorder(whole, 0, below, 0, right, EDGE), np.float32)
+    return channels(np.asarray(cv2.copyMakeBorder(whole, 0, below, 0, right, EDGE), np.float32))
+
+
+def channels(whole: Image) -> Image:
+    """Return both channels (2, H, W) of a picture (H, W) over its own mean and spread. (25.13)"""
     part = LOCAL_PX, LOCAL_PX
     away = whole - np.asarray(cv2.blur(whole, part, borderType=EDGE), np.float32)
     variance = np.asarray(cv2.blur(away * away, part, borderType=EDGE), np.float32)

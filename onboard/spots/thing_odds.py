@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -57,10 +58,21 @@ class ScoreLaw:
         """The class of a peak's score; MISSED below the least."""
         return min(int(np.searchsorted(self.edges, score, side="right")) - 1, len(self.found) - 1)
 
-    def ratio(self) -> Array:
-        """(N,): the things for one false peak, in megapixels, of each class. (25.14)"""
-        out: Array = self.found / np.maximum(self.false_per_mpx, LEAST)
-        return out
+    @cached_property
+    def found_reached(self) -> Array:
+        """(N + 1,): the share of true things that reach each class."""
+        return reached(self.found)
+
+    @cached_property
+    def false_reached(self) -> Array:
+        """(N + 1,): the false peaks in a megapixel that reach each class."""
+        return reached(self.false_per_mpx)
+
+    @cached_property
+    def low_classes(self) -> int:
+        """The number of the lowest classes that hold half of all false peaks."""
+        share = np.cumsum(self.false_per_mpx) / max(float(self.false_per_mpx.sum()), LEAST)
+        return int(np.searchsorted(share, 0.5)) + 1
 
 
 def read_laws(path: Path = CALIBRATION) -> dict[ThingKind, ScoreLaw]:
@@ -101,23 +113,34 @@ class PlaceOdds:
         law = self._law
         if np.isnan(self._log_gate_km2):
             self._log_gate_km2 = float(np.log(gate_km2))
-        found = np.append(np.cumsum(law.found[::-1])[::-1], 0.0)
-        false = np.append(-np.expm1(-rate * gate_mpx * np.cumsum(law.false_per_mpx[::-1])[::-1]), 0.0)
-        self._thing += _log_share(found, score_class, law.found_again)
+        false = -np.expm1(-rate * gate_mpx * law.false_reached)
+        self._thing += _log_share(law.found_reached, score_class, law.found_again)
         self._ground += _log_share(false, score_class, law.false_again)
         self.log_km2 = _log_sum(self._thing) - _log_sum(self._ground) + self._log_gate_km2
 
 
-def _log_share(reached: Array, score_class: int, again: Again) -> Array:
+def reached(shares: Array) -> Array:
+    """Return what reaches the lower edge of each class (N + 1,), from what is in each (N,); then 0."""
+    return np.append(np.cumsum(shares[::-1])[::-1], 0.0)
+
+
+def reached_given(share: Array, again: Again) -> Array:
+    """Return the probabilities (M, NODES) to reach classes, for each value of what looks have in common. (25.15)
+
+    `share` (M,): the same over all places, of looks that are not lost.
+    """
+    above = ndtri(share)[:, None] + np.sqrt(again.shared) * NODES
+    return np.asarray(ndtr(above / np.sqrt(1.0 - again.shared)), np.float64)
+
+
+def _log_share(reach: Array, score_class: int, again: Again) -> Array:
     """ln of the probability (NODES,) of a class, for each value of what looks have in common. (25.15)
 
-    `reached` (N + 1,): the probability to reach each class's lower edge, and 0.
+    `reach` (N + 1,): the probability to reach each class's lower edge, and 0.
     """
-    lost = min(again.lost, 1.0 - float(reached[0]))
-    reached = np.minimum(reached / (1.0 - lost), 1.0)
-    upper, lower = (1.0, reached[0]) if score_class == MISSED else reached[[score_class, score_class + 1]]
-    above = (ndtri(share) + np.sqrt(again.shared) * NODES for share in (upper, lower))
-    most, least = (ndtr(part / np.sqrt(1.0 - again.shared)) for part in above)
+    lost = min(again.lost, 1.0 - float(reach[0]))
+    shares = np.append(1.0, np.minimum(reach / (1.0 - lost), 1.0))  # the class without a peak is the first
+    most, least = reached_given(shares[score_class + 1 : score_class + 3], again)
     shown = (1.0 - lost) * (most - least) + (lost if score_class == MISSED else 0.0)
     return np.asarray(np.log(np.maximum(shown, LEAST)), np.float64)
 

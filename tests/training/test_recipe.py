@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from onboard.spots.thing_net import SIZE_UNIT_PX, STRIDE
 from training.again import again, fitted, flights
 from training.calibration import counted, isotonic, log_ratio_sigma, reliability, smoothed, tables
 from training.crops import ASIDE, SIDE_PX, Crops, moved, warp_around
@@ -25,11 +26,11 @@ from training.labelled_pictures import (
     split,
     stretches,
 )
-from training.net_input import STRIDE_PX, level_of, level_of_histogram, net_input
+from training.net_input import level_of, level_of_histogram, net_input
 from training.peaks import judge, peaks_of
 from training.repeats import corners_of, correlation, false_places, overlay, pairs_of, same_things, seen
 from training.score import Looks, average_precision, joined, look_at, of_pictures, recall_at
-from training.targets import SIZE_PX, targets_of
+from training.targets import targets_of
 
 Array = NDArray[np.float64]
 NONE = np.zeros((0, 4))
@@ -122,7 +123,7 @@ def test_targets_return_as_the_peaks_that_they_are_of() -> None:
     heat = targets_of(things[:1], 64, 80).heat[0]
     assert heat.max() == 1.0
     assert 0.3 < heat[15, 11] < 0.4  # a cell aside, for the least sigma of 0.7 cells
-    assert STRIDE_PX * 4 == SIZE_PX
+    assert STRIDE * 4 == SIZE_UNIT_PX
 
 
 def test_one_peak_is_a_thing_s_and_what_is_left_open_does_not_count() -> None:
