@@ -59,7 +59,7 @@ export function spotFeatures(spots: readonly FoundSpot[]): TrackFeatures {
 
 /** What a net takes it for and how likely, else how hot: in few words. */
 export function shortFind(spot: FoundSpot): string {
-  if (spot.kind !== null && spot.probability !== null) return `${spot.kind} ${Math.min(Math.max(Math.round(100 * spot.probability), 1), 99)} %`;
+  if (spot.kind !== null && spot.probability !== null) return `${spot.kind} ${Math.round(100 * spot.probability)} %`;
   return spot.temperature_c === null ? `${spot.contrast.toFixed(0)} σ` : `${spot.temperature_c.toFixed(1)} °C`;
 }
 

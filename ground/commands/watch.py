@@ -104,8 +104,7 @@ def run(args: argparse.Namespace) -> int:
         followed = [report for name in names for report in _last_followed(recording, name)]
         found = ReceivedSpots()
         found.read(recording, names)
-        rows = [replace(row, person_found=found.person_found(row.vehicle)) for row in rows]
-        _show(rows, [*followed, *_recent(found)], args.json, False)
+        _show(rows, followed, found, args.json, False)
         return ANSWERED
     from ground.client import SetCache  # noqa: PLC0415  zenoh is loaded only where there is a link
 
@@ -136,8 +135,7 @@ def run(args: argparse.Namespace) -> int:
                 rows.append(_row(name, newest, state, age_s, rate_hz, amiss, cache.is_certain(name)))
             if not rows and not args.json:
                 print(f"nothing received yet{f': {cache.link_error}' if cache.link_error else ''}", file=sys.stderr)
-            rows = [replace(row, person_found=found.person_found(row.vehicle)) for row in rows]
-            _show(rows, [*tracks.newest(cache.stamped_ago_s), *_recent(found)], args.json, is_screen)
+            _show(rows, tracks.newest(cache.stamped_ago_s), found, args.json, is_screen)
             warnings.show(cache.dropped.lines(), always=is_screen)
             shown += 1
     return ANSWERED
@@ -240,7 +238,11 @@ def _recent(spots: ReceivedSpots) -> list[FoundThing]:
     return [thing for thing in found if thing.last_unix_ns >= since_ns]
 
 
-def _show(rows: list[Row], things: Sequence[TrackReport | FoundThing], as_json: bool, is_screen: bool) -> None:
+def _show(
+    rows: list[Row], followed: Sequence[TrackReport], found: ReceivedSpots, as_json: bool, is_screen: bool
+) -> None:
+    rows = [replace(row, person_found=found.person_found(row.vehicle)) for row in rows]
+    things: list[TrackReport | FoundThing] = [*followed, *_recent(found)]
     if as_json:
         for line in [*(row.to_json() for row in rows), *(thing.to_json() for thing in things)]:
             print(line)

@@ -42,6 +42,11 @@ class Detector:
         self.person_found: float | None = None
         """The share of the newest picture's ground on which a person would be found; None where it is not known."""
 
+    @property
+    def thresholds(self) -> dict[float, float]:
+        """The contrast that a spot of each size (m) must have, in sigmas of the clutter; infinite: not known yet."""
+        return {side_m: tail.threshold for side_m, tail in self.tails.items()}
+
     def look(self, counts: NDArray[np.uint16], its_set: FeatureSet, place_m: Array) -> list[Region]:
         """Return the regions of counts (H, W) that stand out, the most significant first.
 
@@ -68,8 +73,7 @@ class Detector:
                 if region is not None:
                     found.append(replace(region, significance=region.contrast / max(must, 1e-6)))
         is_known = self._scale is not None and ground is not None
-        thresholds = {side_m: tail.threshold for side_m, tail in self.tails.items()}
-        self.person_found = share_found(contrasts, thresholds, pixel_m) if is_known else None
+        self.person_found = share_found(contrasts, self.thresholds, pixel_m) if is_known else None
         return apart(sorted(found, key=lambda region: -region.significance))
 
     def _learn(self, c: Contrast, tail: ClutterTail, ground: GroundScale, place_m: Array, pixel_m: float) -> None:

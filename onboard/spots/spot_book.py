@@ -68,8 +68,8 @@ class SpotBook:
 
     @property
     def thresholds(self) -> dict[float, float]:
-        """The contrast that a spot of each size (m) must have, in sigmas of the clutter; infinite: not known yet."""
-        return {side_m: tail.threshold for side_m, tail in self._detector.tails.items()}
+        """Those of its detector."""
+        return self._detector.thresholds
 
     def picture(self, frame: Frame, its_set: FeatureSet, pointing: Pointing | None = None) -> SpotReport | None:
         """The spots of the next picture; None where there is nothing to look at. `pointing`: of a second camera."""
@@ -81,8 +81,9 @@ class SpotBook:
         locator = Locator(s) if s.is_ok else None
         if s.is_ok and self._origin is None:
             self._origin = LocalFrame(s.camera_lat_deg, s.camera_lon_deg, 0.0)
-        hot = self._detector.look(frame.counts, s, self._ground_place(locator))
-        things = [] if locator is None else self._seen_things(frame.counts, locator, pointing)
+        ground_m = self._ground_place(locator)
+        hot = self._detector.look(frame.counts, s, ground_m)
+        things = [] if locator is None else self._seen_things(frame.counts, locator, ground_m, pointing)
         placed = [self._thing(region, seen, locator, s.status, pointing) for region, seen in things]
         found = [one for one in hot if not any(is_of_thing(one, seen.peak, region) for region, seen in things)]
         placed += [self._placed(region, locator, s.status, pointing) for region in found]
@@ -98,15 +99,17 @@ class SpotBook:
         )  # fmt: skip
 
     def _seen_things(
-        self, counts: NDArray[np.uint16], locator: Locator, pointing: Pointing | None
+        self, counts: NDArray[np.uint16], locator: Locator, ground_m: Array, pointing: Pointing | None
     ) -> list[tuple[Region, ThingSeen]]:
         """Return the net's finds in a picture, the most likely first; nothing where the picture shows no ground."""
+        if self._things is None or self._origin is None:
+            return []
         ground = ground_scale(locator.feature_set, PARTS)
-        if self._things is None or ground is None or self._origin is None:
+        if ground is None:
             return []
         scale = self._thermal.calibration
         values = counts.astype(np.float32) if scale is None else scale.kelvin(counts)
-        found = self._things.look(values, locator, ground, self._origin, pointing)
+        found = self._things.look(values, locator, ground, self._origin, ground_m, pointing)
         return [(region_of_thing(values, seen.peak), seen) for seen in found]
 
     def _thing(

@@ -157,15 +157,17 @@ class ThingBook:
         locator: Locator,
         scale: GroundScale,
         origin: LocalFrame,
+        ground_m: Array,
         pointing: Pointing | None = None,
     ) -> list[ThingSeen]:
         """Return what the picture (H, W) shows and all looks together hold for a thing, the most likely first.
 
-        `origin`: where places are counted from, the same all session. `pointing`: of a second camera.
+        `origin`: where places are counted from, the same all session; `ground_m` (2,): about where the picture's ground
+        is, east and north of it. `pointing`: of a second camera.
         """
         s = locator.feature_set
         peaks = self._net.peaks(values)[:MOST_PEAKS]
-        now = _past(s, locator, scale, origin, pointing)
+        now = _past(s, scale, origin, ground_m, pointing)
         observed = _placed(peaks, locator, now.camera_m, pointing)
         self._learn_rates(peaks, now, scale)
         shown: list[tuple[_Place, _Kind]] = []
@@ -277,14 +279,11 @@ def _gate_m(one: _Seen, two: _Seen, look: _Past) -> float:
     return float(np.sqrt(errors_m2 + walked_m**2 + (GATE_PX * one.pixel_m) ** 2))
 
 
-def _past(s: FeatureSet, locator: Locator, scale: GroundScale, origin: LocalFrame, pointing: Pointing | None) -> _Past:
+def _past(s: FeatureSet, scale: GroundScale, origin: LocalFrame, ground_m: Array, pointing: Pointing | None) -> _Past:
     camera_m = origin.to_enu(s.camera_lat_deg, s.camera_lon_deg, s.camera_height_m)
-    camera = s.camera
-    offset = locator.offset([0.5 * (camera.width_px - 1.0), 0.5 * (camera.height_px - 1.0)])
-    middle = camera_m[:2] + (offset[:2] if isinstance(offset, np.ndarray) else 0.0)
-    side_m = float(np.sqrt(max(scale.area_m2(camera.size_px), 1.0)))
+    side_m = float(np.sqrt(max(scale.area_m2(s.camera.size_px), 1.0)))
     mount = np.zeros((STATES, STATES)) if pointing is None else pointing.covariance
-    return _Past(s, camera_m, middle, 2.0 * side_m, mount)
+    return _Past(s, camera_m, ground_m, 2.0 * side_m, mount)
 
 
 def _assigned(places: list[_Place], observed: list[_Seen], now: _Past) -> tuple[dict[int, _Seen], set[int]]:

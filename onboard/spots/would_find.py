@@ -29,10 +29,10 @@ def share_found(contrasts: Sequence[Contrast], thresholds: Mapping[float, float]
     `contrasts` are a calibrated picture's, by size; `thresholds` what each size must have, in sigmas of the clutter.
     """
     found = None
+    stepped_m = float(np.exp(round(np.log(pixel_m) / PIXEL_STEP) * PIXEL_STEP))
     for c in contrasts:
-        excess = PERSON_K * _excess(c.side_m, float(np.exp(round(np.log(pixel_m) / PIXEL_STEP) * PIXEL_STEP)))
-        reached = ndtr((excess / c.clutter - thresholds[c.side_m]) if np.isfinite(thresholds[c.side_m]) else -np.inf)
-        share = np.where(c.is_ground, reached, np.nan)
+        excess = PERSON_K * _excess(c.side_m, stepped_m)
+        share = np.where(c.is_ground, ndtr(excess / c.clutter - thresholds[c.side_m]), np.nan)
         coarse = np.asarray(cv2.resize(share, contrasts[0].clutter.shape[::-1], interpolation=cv2.INTER_NEAREST), float)
         found = coarse if found is None else np.fmax(found, coarse)
     return 0.0 if found is None or not np.isfinite(found).any() else float(np.nanmean(found))

@@ -85,7 +85,7 @@ class Operator:
         return self.page.request.get(self.server.local + path).json()
 
     def newest_pin(self) -> dict[str, Any]:
-        """As the server has it, once its last click is measured, or is not for a reason."""
+        """Return it as the server has it, once its last click is measured, or is not for a reason."""
         is_measured = self.ask("api/status")["measures"]
 
         def newest() -> dict[str, Any]:

@@ -77,7 +77,7 @@ class Flight:
         self.net.its_set, self.net.things = s, things + [(float(e), float(n), 0.1) for e, n in faint]
         scale = ground_scale(s, PARTS)
         assert scale is not None
-        return self.book.look(np.zeros((512, 640), np.float32), Locator(s), scale, ORIGIN)
+        return self.book.look(np.zeros((512, 640), np.float32), Locator(s), scale, ORIGIN, np.array(at))
 
 
 def clear(flight: Flight) -> list[float]:
@@ -115,7 +115,9 @@ def test_from_opposite_legs_a_second_camera_shows_a_person_at_one_place_as_far_a
         assert scale is not None
         plane = np.array([0.0, 0.0, 1.0 / HEIGHT_M])
         pointing = Pointing(CAMERA, plane, still, still, covariance, 0.0)
-        flight.book.look(np.zeros((512, 640), np.float32), Locator(s), scale, ORIGIN, pointing)
+        flight.book.look(
+            np.zeros((512, 640), np.float32), Locator(s), scale, ORIGIN, np.array([0.0, north_m]), pointing
+        )
     assert len(clear(flight)) == places
 
 
