@@ -1,0 +1,101 @@
+"""A click whose picture's time is known to some tenths of a second: its ellipse has that, and no more."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from contract.answer import Fix, Refusal
+from contract.feature_set import FeatureSet, Status
+from contract.untimed_click import UntimedClick, locate_untimed
+from tests.onboard.tracks.flat_world import CAMERA, EPOCH_NS, M_PX, PLACE, RATE_HZ, World
+
+SPEED_M_S, SIGMA_S = 8.0, 0.3
+WORLD = World(camera=lambda t: (SPEED_M_S * t, 0.0))
+SETS = [WORLD.its_set(number) for number in range(60)]
+POSE_ERROR_M = np.array([0.8, -0.5])  # of every set of that world; one sigma of it is stated as 1 m
+SHARE = (0.25, 0.4)
+
+
+def at_ns(time_s: float) -> int:
+    return EPOCH_NS + round(time_s * 1e9)
+
+
+def clicked(moment_s: float, sets: list[FeatureSet] | None = None, sigma_s: float = SIGMA_S) -> UntimedClick:
+    return locate_untimed(SETS if sets is None else sets, SHARE, at_ns(moment_s), sigma_s)
+
+
+def error_m(found: UntimedClick, shown_s: float) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    """East, north from what was at SHARE of the picture of `shown_s`."""
+    assert isinstance(found.answer, Fix)
+    u, v = (share * size - 0.5 for share, size in zip(SHARE, (CAMERA.width_px, CAMERA.height_px), strict=True))
+    truth = np.array([SPEED_M_S * shown_s + (u - CAMERA.cx_px) * M_PX, -(v - CAMERA.cy_px) * M_PX])
+    where: np.ndarray[tuple[int], np.dtype[np.float64]] = PLACE.to_enu(
+        found.answer.lat_deg, found.answer.lon_deg, found.answer.height_amsl_m or 0.0
+    )[:2]
+    return where - truth
+
+
+def test_a_moment_that_is_known_gives_the_place_of_then_also_between_two_pictures() -> None:
+    for moment_s in (2.0, 2.05):
+        found = clicked(moment_s, sigma_s=0.0)
+        assert np.allclose(error_m(found, moment_s), POSE_ERROR_M, atol=0.03)
+        assert np.max(np.abs(found.by_delay_m2)) < 1e-3
+
+
+def test_nine_of_ten_clicks_are_inside_whatever_the_delay_was_and_the_ellipse_is_no_wider_than_it() -> None:
+    found = clicked(3.0)
+    assert isinstance(found.answer, Fix)
+    rng = np.random.default_rng(1)
+    # Each with a delay and a pose of its own: those of SETS are taken off.
+    errors = np.array([error_m(found, 3.0 + rng.normal(0.0, SIGMA_S)) for _ in range(2000)])
+    errors += rng.normal(0.0, 1.0, errors.shape) - POSE_ERROR_M
+    chi2 = np.einsum("ni,ij,nj->n", errors, np.linalg.inv(found.answer.covariance_enu_m2[:2, :2]), errors)
+    assert 0.88 <= np.mean(chi2 < 4.605) <= 0.92
+    stated_m, truly_m = found.answer.ellipse.semi_major_m, 2.146 * math.hypot(SPEED_M_S * SIGMA_S, 1.0)
+    assert 0.97 <= stated_m / truly_m <= 1.05
+    assert np.isclose(found.by_delay_m2[0, 0], (SPEED_M_S * SIGMA_S) ** 2, rtol=0.03)
+
+
+def test_a_turn_that_no_straight_line_follows_widens_it() -> None:
+    """The camera swings to and fro within the delay: its mean is known, where it was is not."""
+    swinging = World(camera=lambda t: (4.0 * math.sin(2.0 * math.pi * t / 0.5), 0.0))
+    found = clicked(3.0, [swinging.its_set(number) for number in range(60)])
+    assert 2.0 <= math.sqrt(found.by_delay_m2[0, 0]) <= 4.5
+
+
+def test_a_hovering_aircraft_owes_nothing_to_the_delay() -> None:
+    hovering = World()
+    found = clicked(3.0, [hovering.its_set(number) for number in range(60)])
+    assert isinstance(found.answer, Fix) and np.max(np.abs(found.by_delay_m2)) < 1e-6
+    assert np.isclose(found.answer.ellipse.semi_major_m, 2.146, rtol=0.02)
+
+
+def test_sets_that_come_seldom_still_state_how_far_it_moves() -> None:
+    found = clicked(3.0, SETS[::15])
+    assert np.isclose(found.by_delay_m2[0, 0], (SPEED_M_S * SIGMA_S) ** 2, rtol=0.1)
+
+
+@pytest.mark.parametrize(
+    ("sets", "moment_s", "status"),
+    [
+        pytest.param([], 3.0, Status.STALE, id="none"),
+        pytest.param(SETS, 30.0, Status.STALE, id="long ago"),
+        pytest.param(SETS[30:31], 3.0, Status.STALE, id="one alone knows no speed"),
+        pytest.param(
+            [World(status=Status.TURNING).its_set(number) for number in range(60)], 3.0, Status.TURNING, id="no pose"
+        ),
+    ],
+)
+def test_what_cannot_be_known_is_refused(sets: list[FeatureSet], moment_s: float, status: Status) -> None:
+    answer = clicked(moment_s, sets).answer
+    assert isinstance(answer, Refusal) and answer.status is status and answer.reason
+
+
+def test_pictures_without_a_place_among_others_that_have_one_hold_up_no_click() -> None:
+    lost = World(status=Status.TURNING, camera=WORLD.camera)
+    mixed = [(lost if number % 3 == 0 else WORLD).its_set(number) for number in range(60)]
+    assert np.allclose(error_m(clicked(3.0, mixed), 3.0), POSE_ERROR_M, atol=0.05)
+    assert RATE_HZ == 10.0  # so that every third of them is 0.3 s from the next
