@@ -8,7 +8,7 @@ from typing import Any
 from benchmarks.sampled_flight import HillCountry, Hills, Valley
 from benchmarks.sensor_faults import EVERY_MINUTE
 from contract.camera import UNKNOWN_SIGMA, Camera
-from onboard.config.schema import NETWORK_PRIOR_S
+from onboard.config.delay_prior import NETWORK_PRIOR_S
 
 LENS = Camera.from_field_of_view(640, 480, 40.0)
 

@@ -7,6 +7,7 @@ import faulthandler
 import logging
 import os
 import sys
+import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from datetime import UTC, datetime
@@ -28,12 +29,13 @@ from onboard.events.kept_pictures import KeptPictures
 from onboard.events.session_clock import SessionClock
 from onboard.events.sink import Sink
 from onboard.events.source import Source
-from onboard.link.autopilot_radio import AutopilotRadio
+from onboard.link.autopilot_radio import AutopilotRadio, radio_bucket
 from onboard.link.byte_budget import left_for_pictures
 from onboard.link.picture_sender import PictureSender
 from onboard.link.publisher import Publisher
 from onboard.pipeline.pipeline import Pipeline
 from onboard.service import journal
+from onboard.service.camera_clicks import CameraClicks
 from onboard.service.daemon import Daemon, SignalOrders
 from onboard.service.host import cpu_temperature_c
 from onboard.service.measure_thread import MeasureThread
@@ -50,6 +52,7 @@ from onboard.storage.elevation_files import TerrainFiles
 from onboard.storage.rotating_recorder import Recorded
 from onboard.storage.session_number import next_session
 from onboard.telemetry.factory import open_telemetry
+from onboard.telemetry.mavlink_camera import MavlinkCamera
 
 LEAST_FOR_PICTURES = 10_000.0  # bit/s: a picture of a kilobyte a second
 
@@ -116,7 +119,8 @@ def open_parts(config: Config, clock: SessionClock | None = None, open_camera: O
         optics = load_second_camera(config) if config.spots.enabled and config.camera.thermal.is_live else None
         kept = KeptPictures(round(config.tracks.keep_mb * 1e6))
         tracks, (spots, second) = _tracks(config, link, kept), _spots(config, link, clock, optics)
-        for one in (tracks, _measured(config, link, radio, kept), spots, second):
+        clicks, component = _camera_component(config, camera, clock, radio, tracks)
+        for one in (tracks, _measured(config, link, radio, kept), spots, second, clicks):
             if one is not None:
                 sinks.append(one)
                 threads.append(one.thread)
@@ -139,7 +143,7 @@ def open_parts(config: Config, clock: SessionClock | None = None, open_camera: O
         parts = Parts(
             clock=clock,
             camera=open_camera(config, camera, clock),
-            telemetry=open_telemetry(config, clock, radio),
+            telemetry=open_telemetry(config, clock, radio, component),
             pipeline=pipeline,
             thermal_camera=None if second is None else second.source,
             sinks=sinks,
@@ -193,6 +197,20 @@ def _measured(
     if radio is not None:
         radio.clicks.measure = measured.measure
     return measured
+
+
+def _camera_component(
+    config: Config, camera: Camera, clock: SessionClock, radio: AutopilotRadio | None, tracks: TrackThread | None
+) -> tuple[CameraClicks | None, MavlinkCamera | None]:
+    """Return the thread that answers a MAVLink camera's clicks, and the camera on the autopilot's network."""
+    if not config.mavlink_camera.enabled:
+        return None, None
+    clicks = CameraClicks(config)
+    if tracks is not None:
+        clicks.follow = tracks.answer
+        tracks.outlets.append(clicks.tracks)
+    share = radio_bucket(config.link.mavlink_bit_rate, time.monotonic()) if radio is None else radio.bucket
+    return clicks, MavlinkCamera.open(config, camera, clock.now_ns(), clicks, share)
 
 
 def _spots(

@@ -21,6 +21,8 @@ from pydantic.fields import FieldInfo
 from contract.errors import ConfigError
 from contract.near_word import near_word
 from contract.thermal_scale import ThermalScale
+from onboard.config.delay_prior import delay_prior
+from onboard.config.mavlink_camera import MavlinkCamera
 from onboard.config.second_camera import SecondCamera
 from onboard.config.section import Section, choice, quantity
 
@@ -71,23 +73,6 @@ class Mount(Section):
     lever_arm_m: tuple[float, float, float] = choice(
         (0.0, 0.0, 0.0), "from the autopilot's reference point to the camera: forward, right, down, m"
     )
-
-
-NETWORK_PRIOR_S = (0.5, 0.29)  # mean and one sigma of a delay anywhere between 0 and 1 s
-LOCAL_PRIOR_S = (0.0, 0.1)
-LOCAL_ELEMENTS = ("v4l2src", "libcamerasrc", "nvarguscamerasrc", "nvv4l2camerasrc")
-
-
-def delay_prior(device: str, is_utc: bool = False) -> dict[str, float]:
-    """`latency_s` and `sigma_latency_s` of a camera of which nothing is stated, by the form of `camera.device`.
-
-    Where it is not known how long the sender's encoder and the link take, the delay may be anything up to a second.
-    """
-    is_network = device.startswith("rtsp") or (
-        device.startswith("gst:") and not any(element in device for element in LOCAL_ELEMENTS)
-    )
-    latency_s, sigma_s = NETWORK_PRIOR_S if is_network and not is_utc else LOCAL_PRIOR_S
-    return {"latency_s": latency_s, "sigma_latency_s": sigma_s}
 
 
 class CameraConfig(Section):
@@ -410,6 +395,7 @@ class Config(Section):
     range_finder: RangeFinderConfig = RangeFinderConfig()
     telemetry: Telemetry = Telemetry()
     link: Link = Link()
+    mavlink_camera: MavlinkCamera = MavlinkCamera()
     picture: PictureConfig = PictureConfig()
     tracks: TracksConfig = TracksConfig()
     spots: SpotsConfig = SpotsConfig()

@@ -2,7 +2,7 @@
 
 Public:
 
-- `autopilot_radio`: `AutopilotRadio`
+- `autopilot_radio`: `AutopilotRadio`, `radio_bucket`
 - `byte_budget`: `left_for_pictures`
 - `certificates`: `AUTHORITY`, `make_credentials`
 - `picture_sender`: `PictureSender`

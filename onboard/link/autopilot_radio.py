@@ -26,6 +26,11 @@ REPORTED_S = 10.0  # that a radio's own report is news
 GROUND_STATIONS = 255, 255  # as autopilots have it unless they report others
 
 
+def radio_bucket(max_bit_rate: float, now_s: float) -> Bucket:
+    """The bytes that may go through the autopilot, at `link.mavlink_bit_rate`."""
+    return Bucket(max_bit_rate / 8.0, max(BURST_S * max_bit_rate / 8.0, MAX_WIRE_BYTES), now_s)
+
+
 class AutopilotRadio:
     """A `TunnelEnd` for grounds behind the autopilot.
 
@@ -44,8 +49,8 @@ class AutopilotRadio:
         now_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         overhead = OVERHEAD + is_signed * SIGNATURE
-        bucket = Bucket(max_bit_rate / 8.0, max(BURST_S * max_bit_rate / 8.0, MAX_WIRE_BYTES), now_ns() / 1e9)
-        self._bucket, self._overhead, self._now_ns = bucket, overhead, now_ns
+        self.bucket = bucket = radio_bucket(max_bit_rate, now_ns() / 1e9)
+        self._overhead, self._now_ns = overhead, now_ns
         self.clicks = ClickService(vehicle, look_up, overhead, bucket, now_ns)
         self.feed = SetFeed(max_bit_rate, overhead, bucket, age_s, now_ns)
         self._ground_stations = GROUND_STATIONS
@@ -70,7 +75,7 @@ class AutopilotRadio:
 
     def charge(self, wire_bytes: int) -> None:
         """Count what the autopilot passes on of ours in addition: heartbeats, time requests, texts to the pilot."""
-        self._bucket.take(wire_bytes, self._now_ns() / 1e9)
+        self.bucket.take(wire_bytes, self._now_ns() / 1e9)
 
     def know_ground_stations(self, low: int, high: int) -> None:
         """The system numbers that the autopilot takes for its ground stations."""
@@ -108,5 +113,5 @@ class AutopilotRadio:
         self._turned_away.clear()
         refusals = [(ground, encode_answer(refusal)) for ground, refusal in out]
         for _, refusal in refusals:
-            self._bucket.take(len(refusal) + self._overhead, self._now_ns() / 1e9)
+            self.bucket.take(len(refusal) + self._overhead, self._now_ns() / 1e9)
         return refusals + self.clicks.due() + self.feed.due()

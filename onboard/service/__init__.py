@@ -2,6 +2,7 @@
 
 Public:
 
+- `camera_clicks`: `CameraClicks`
 - `daemon`: `Daemon`, `SignalOrders`
 - `host`: `cpu_temperature_c`, `free_mb`
 - `journal`

@@ -9,6 +9,7 @@ from onboard.config.schema import Config
 from onboard.events.session_clock import SessionClock
 from onboard.events.source import TelemetrySource
 from onboard.events.tunnel import TunnelEnd
+from onboard.telemetry.mavlink_camera import MavlinkCamera
 from onboard.telemetry.mavlink_source import LiveTelemetry, PymavlinkEnd
 from onboard.telemetry.nmea_source import NmeaTelemetry
 from onboard.telemetry.signing import read_key
@@ -17,28 +18,35 @@ from onboard.telemetry.tlog_playback import PlayedTelemetry
 from onboard.telemetry.transports import Address
 
 
-def open_telemetry(config: Config, clock: SessionClock, tunnel: TunnelEnd | None = None) -> TelemetrySource:
+def open_telemetry(
+    config: Config, clock: SessionClock, tunnel: TunnelEnd | None = None, camera: MavlinkCamera | None = None
+) -> TelemetrySource:
     """The source of `telemetry.url`, with that of `mount.gimbal_url` if there is one; nothing is opened before it runs.
 
-    What passes through the autopilot is `tunnel`'s.
+    What passes through the autopilot is `tunnel`'s; `camera` is a component next to us on its network.
 
     Raises ConfigError, one line, for what can never work: an unknown kind of url, a missing log, a bad key.
     """
-    source = _open_autopilot(config, clock, tunnel)
+    source = _open_autopilot(config, clock, tunnel, camera)
     if config.mount.gimbal_url is None or config.mount.gimbal == "never":
         return source
     gimbal = SiyiGimbal(clock, siyi_address(config.mount.gimbal_url), config.telemetry.lost_after_s)
     return WithGimbal(source, gimbal)
 
 
-def _open_autopilot(config: Config, clock: SessionClock, tunnel: TunnelEnd | None) -> TelemetrySource:
+def _open_autopilot(
+    config: Config, clock: SessionClock, tunnel: TunnelEnd | None, camera: MavlinkCamera | None
+) -> TelemetrySource:
     telemetry = config.telemetry
     scheme, _, rest = telemetry.url.partition(":")
-    if tunnel is not None and (scheme in ("tlog", "nmea") or telemetry.backend == "mavsdk"):
+    wanted = [name for name, end in (("link.mavlink", tunnel), ("mavlink_camera.enabled", camera)) if end is not None]
+    if wanted and (scheme in ("tlog", "nmea") or telemetry.backend == "mavsdk"):
         raise ConfigError(
-            "link.mavlink needs a live autopilot and telemetry.backend 'pymavlink': what goes to the ground passes "
+            f"{wanted[0]} needs a live autopilot and telemetry.backend 'pymavlink': what goes to the ground passes "
             "through the autopilot"
         )
+    if camera is not None and camera.component == telemetry.component:
+        raise ConfigError(f"mavlink_camera.component and telemetry.component are both {camera.component}: two numbers")
     if scheme == "tlog":
         if not Path(rest).is_file():
             raise ConfigError(f"telemetry.url {telemetry.url!r}: no such file")
@@ -53,4 +61,4 @@ def _open_autopilot(config: Config, clock: SessionClock, tunnel: TunnelEnd | Non
         from onboard.telemetry.mavsdk_source import MavsdkEnd  # noqa: PLC0415  a large native library
 
         return LiveTelemetry(config, clock, address, lambda: MavsdkEnd(config, clock))
-    return LiveTelemetry(config, clock, address, lambda: PymavlinkEnd(config, key), tunnel)
+    return LiveTelemetry(config, clock, address, lambda: PymavlinkEnd(config, key), tunnel, camera)

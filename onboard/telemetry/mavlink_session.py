@@ -17,6 +17,7 @@ from onboard.events.types import GimbalAttitude, NavEvent, PositionFix
 from onboard.telemetry.gimbal_senders import Gimbals, is_of_payload
 from onboard.telemetry.mavlink_events import AUTOPILOT_COMPONENT, MessageToEvent, Sources, boot_ns_of
 from onboard.telemetry.message_rates import RateRequests
+from onboard.telemetry.status_texts import StatusTexts
 from onboard.telemetry.vehicle_choice import VehicleChoice, is_autopilot
 
 NS_PER_S = 1_000_000_000
@@ -26,10 +27,6 @@ CALL_NS, BEAT_NS = NS_PER_S, SELDOM_NS
 MAX_PENDING = 32
 RETURN_NS = 3 * NS_PER_S  # of silence after which what was granted is taken for lost
 SUBSTITUTE_NS = 5 * NS_PER_S  # to wait for the better of two messages
-TEXT_NS = NS_PER_S // 2  # between texts: the pilot must be able to read them
-CHUNK_LENGTH = 50  # of STATUSTEXT
-MAX_CHUNKS = 2
-MAX_TEXTS = 8
 MAX_CLOCK_SIGMA_MS = 20.0  # as the doctor's: 0.4 m at 20 m/s
 
 
@@ -50,11 +47,10 @@ class Autopilot:
         self._position_ns: int | None = None
         self._newest_boot_ns = 0
         self._boot_moved_ns = 0
-        self._next_beat_ns = self._next_text_ns = self._next_answer_ns = 0
+        self._next_beat_ns = self._next_answer_ns = 0
         self._pending: deque[int] = deque(maxlen=MAX_PENDING)
         self._answers: deque[Any] = deque(maxlen=MAX_PENDING)
-        self._texts: deque[tuple[Severity, str]] = deque(maxlen=MAX_TEXTS)
-        self._text_number = 0
+        self._texts = StatusTexts()
         self._kind = int(mavlink.MAV_AUTOPILOT_INVALID)  # of autopilot; not known yet
 
     @property
@@ -178,10 +174,7 @@ class Autopilot:
             self._pending.append(now_ns)
             self.gimbals.asked(now_ns)
             out.append(mavlink.MAVLink_timesync_message(0, now_ns))
-        if self._texts and now_ns >= self._next_text_ns:
-            self._next_text_ns = now_ns + TEXT_NS
-            out += self._statustexts(*self._texts.popleft())
-        return out + self.rates.due(self.system, now_ns)
+        return out + self._texts.due(now_ns) + self.rates.due(self.system, now_ns)
 
     def _heartbeat(self, state: int) -> Any:
         # PX4 takes any component of the type "onboard controller" for its mission computer, and sends the pilot a
@@ -197,20 +190,7 @@ class Autopilot:
 
     def send_text(self, severity: Severity, text: str) -> None:
         """Have a text shown to the pilot: 100 characters at most. The newest few wait for the link."""
-        self._texts.append((severity, text[: MAX_CHUNKS * CHUNK_LENGTH]))
-
-    def _statustexts(self, severity: Severity, text: str) -> list[Any]:
-        """One message, or several that ground stations put together by number; MAVLink 1 ones show them apart."""
-        data = text.encode("ascii", "replace")
-        if len(data) <= CHUNK_LENGTH:
-            return [mavlink.MAVLink_statustext_message(severity.value, data)]
-        self._text_number = self._text_number % 65535 + 1
-        return [
-            mavlink.MAVLink_statustext_message(
-                severity.value, data[at : at + CHUNK_LENGTH], self._text_number, at // CHUNK_LENGTH
-            )
-            for at in range(0, len(data), CHUNK_LENGTH)
-        ]
+        self._texts.add(severity, text)
 
     # --- how it is ---
 

@@ -13,6 +13,7 @@ from onboard.config.schema import Config
 from onboard.events.session_clock import SessionClock
 from onboard.events.source import Emit, Severity, SourceStatus, State, Stop
 from onboard.events.tunnel import TunnelEnd
+from onboard.telemetry.mavlink_camera import MavlinkCamera
 from onboard.telemetry.mavlink_events import AUTOPILOT_COMPONENT
 from onboard.telemetry.mavlink_framing import Framer, SequenceGaps
 from onboard.telemetry.mavlink_passage import Passage
@@ -39,8 +40,10 @@ class End(Protocol):
     def take(self, data: bytes, now_ns: int) -> list[tuple[int, Any]]:
         """Take data, maybe none; return messages that are ready, each with its arrival, as pymavlink has them."""
 
-    def send(self, message: Any) -> None:
-        """Send one of pymavlink's messages. Raises OSError where the wire is broken."""
+    def send(self, message: Any, component: int | None = None) -> None:
+        """Send one of pymavlink's messages, as `component` of the vehicle's where it is given. Raises OSError where the
+        wire is broken.
+        """
 
     def lost(self, system: int) -> int | None:
         """Packets lost on the way from this system's autopilot since the start; None where that is not known."""
@@ -57,7 +60,9 @@ class PymavlinkEnd:
 
     def __init__(self, config: Config, key: bytes | None = None) -> None:
         self.system = config.telemetry.system or None
-        self._mav = mavlink.MAVLink(None, srcComponent=config.telemetry.component)
+        self._component = config.telemetry.component
+        self._mav = mavlink.MAVLink(None, srcComponent=self._component)
+        self._numbers: dict[int, int] = {}  # of the next packet, by component: each counts its own
         self._is_signing = key is not None
         if key is not None:
             sign(self._mav, key)
@@ -79,13 +84,15 @@ class PymavlinkEnd:
         self._taken += len(messages)
         return [(now_ns, message) for message in messages]
 
-    def send(self, message: Any) -> None:
+    def send(self, message: Any, component: int | None = None) -> None:
         """Pack and write at once."""
         if self._is_signing:
             keep_time(self._mav)
-        self._mav.srcSystem = self.system or USUAL_SYSTEM
+        sender = self._component if component is None else component
+        self._mav.srcSystem, self._mav.srcComponent = self.system or USUAL_SYSTEM, sender
+        self._mav.seq = self._numbers.get(sender, 0)
         packet = message.pack(self._mav)
-        self._mav.seq = (self._mav.seq + 1) % 256
+        self._numbers[sender] = (self._mav.seq + 1) % 256
         if self._wire is not None:
             self._wire.write(bytes(packet))
 
@@ -117,6 +124,7 @@ class LiveTelemetry:
         address: Address,
         make_end: Callable[[], End],
         tunnel: TunnelEnd | None = None,
+        camera: MavlinkCamera | None = None,
     ) -> None:
         self._config = config
         self._clock = clock
@@ -124,6 +132,7 @@ class LiveTelemetry:
         self._make_end = make_end
         self._autopilot = Autopilot(config)
         self._passage = None if tunnel is None else Passage(config, tunnel)
+        self._camera = camera
         self._log = (
             TlogWriter(config.telemetry.log, config.recording.keep_free_mb)
             if config.telemetry.log is not None
@@ -182,6 +191,8 @@ class LiveTelemetry:
                     emit(arrival_ns, event)
                 if self._passage is not None and autopilot.is_known:
                     self._passage.receive(message, autopilot.system)
+                if self._camera is not None:
+                    self._camera.receive(message, autopilot.system, arrival_ns)
             end.system = autopilot.system
             self._send_due(end, clock.now_ns(), speaks_first=wire.speaks_first or self._is_signed)
             self._complaint = end.complaint()
@@ -198,6 +209,9 @@ class LiveTelemetry:
         if self._passage is not None and self._autopilot.system is not None:
             for message in self._passage.due(now_ns, self._autopilot.system):
                 end.send(message)
+        if self._camera is not None and self._autopilot.system is not None:
+            for message in self._camera.due(now_ns):
+                end.send(message, self._camera.component)
 
     @property
     def _is_signed(self) -> bool:
@@ -218,6 +232,9 @@ class LiveTelemetry:
             return SourceStatus(health.state, self._complaint, figures)
         if self._log is not None and self._log.fault and health.state is State.OK:
             return SourceStatus(State.DEGRADED, f"telemetry log: {self._log.fault}", figures)
+        contested = "" if self._camera is None else self._camera.complaint(self._clock.now_ns())
+        if contested and health.state is State.OK:
+            return SourceStatus(State.DEGRADED, contested, figures)
         return replace(health, figures=figures)
 
     def send_text(self, severity: Severity, text: str) -> None:

@@ -82,8 +82,11 @@ class MavsdkEnd:
             self._subscribe()
         return [self._waiting.popleft() for _ in range(len(self._waiting))]
 
-    def send(self, message: Any) -> None:
-        """Through mavlink_direct; before the vehicle is known, nothing is. Raises OSError where the wire is broken."""
+    def send(self, message: Any, component: int | None = None) -> None:
+        """Through mavlink_direct; before the vehicle is known, nothing is. Raises OSError where the wire is broken.
+
+        There is no other `component` that would send through it: `open_telemetry` sees to that.
+        """
         name = message.get_type()
         if self._direct is None or name == "HEARTBEAT":
             # The other end may send only to an address it has received from.

@@ -9,16 +9,19 @@ import json
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
 
+from contract.geodesy import LocalFrame
 from contract.wire.click_code import TUNNEL_TYPE
 from ground.recording import Recording
 from tests.onboard.link.mavlink_router import Line, Router, Udp
 from tests.onboard.link.ports import free_udp_port
 from tests.onboard.service.air import STRAIGHT
 from tests.onboard.service.process import ROOT, aircraft
+from tests.onboard.telemetry.standard_client import StandardClient, standard
 from tests.scenarios.flights import CAMERA
 from tests.waiting import PATIENCE_S
 
@@ -87,3 +90,44 @@ def test_a_click_is_answered_through_the_autopilot_as_over_the_link(tmp_path: Pa
         one, other_set = kept.by_frame("uav", frame), own.by_frame("uav", frame)
         assert one is not None and other_set is not None
         assert one.revision <= other_set.revision and one.capture_unix_ns == other_set.capture_unix_ns
+
+
+@pytest.mark.long
+def test_a_ground_station_s_click_in_the_video_is_answered_through_the_autopilot(tmp_path: Path) -> None:
+    """Its short ones: tests/onboard/telemetry/test_mavlink_camera.py, tests/onboard/service/test_camera_clicks.py."""
+    onboard, ground = free_udp_port(), free_udp_port()
+    stated = "\n[mavlink_camera]\nenabled = true\ndelay_s = 0.6\nsigma_delay_s = 0.2\n"
+    with aircraft(tmp_path, STRAIGHT) as plane:
+        text = plane.config.read_text().replace(f'"{plane.autopilot.url}"', f'"udpin:127.0.0.1:{onboard}"')
+        plane.config.write_text(text + stated)
+        client = StandardClient(ground, plane.autopilot.system, listens=True)
+        with Router(Line(plane.autopilot.url), Udp(onboard), Udp(ground)) as router:
+            plane.start()
+            plane.wait_for("ok")
+            assert client.wait("HEARTBEAT").type == standard.MAV_TYPE_CAMERA
+            information = client.wait(
+                "CAMERA_INFORMATION", client.request(standard.MAVLINK_MSG_ID_CAMERA_INFORMATION)[1]
+            )
+            clicked_s = time.time()
+            answer, since = client.command(standard.MAV_CMD_CAMERA_TRACK_POINT, 0.5, 0.5, 0.02)
+            geo = client.wait("CAMERA_TRACKING_GEO_STATUS", since)
+            client.command(
+                standard.MAV_CMD_SET_MESSAGE_INTERVAL, standard.MAVLINK_MSG_ID_CAMERA_TRACKING_IMAGE_STATUS, 5e5
+            )
+            image = client.wait("CAMERA_TRACKING_IMAGE_STATUS", since)
+            u, v = 0.5 * (CAMERA.width_px - 1), 0.5 * (CAMERA.height_px - 1)
+            when = "--time", f"{clicked_s - 0.6:.3f}"
+            shown = pc_ground("click", u, v, *when, "--connect", plane.endpoint, "--format", "json")
+            passed = list(router.passed)
+            plane.signal(signal.SIGTERM)
+            assert plane.ended() == 0
+        client.close()
+    assert (information.resolution_h, answer.result, image.tracking_status) == (CAMERA.width_px, 0, 1)
+    expected = json.loads(shown.stdout)
+    frame = LocalFrame(expected["lat_deg"], expected["lon_deg"], expected["height_amsl_m"])
+    east_m, north_m, up_m = frame.to_enu(geo.lat * 1e-7, geo.lon * 1e-7, geo.alt)
+    assert (east_m**2 + north_m**2) ** 0.5 < geo.h_acc and abs(up_m) < geo.v_acc
+    assert expected["ellipse"]["semi_major_m"] < geo.h_acc < 60.0
+    for message, came, to in passed:  # of ours nothing commands the autopilot, and acknowledgements go to who asked
+        if came == 1 and message.get_srcComponent() == 100:
+            assert not hasattr(message, "target_system") or (message.get_type(), to) == ("COMMAND_ACK", [2])

@@ -1,0 +1,351 @@
+"""A MAVLink camera component: commands of ground stations in, acknowledgements and states out. No link, no thread.
+
+By MAVLink's camera protocol v2. Clicks (MAV_CMD_CAMERA_TRACK_POINT) and looks are answered elsewhere, by a `CameraEnd`;
+nothing of what is received here commands the autopilot or the camera. What is not addressed to this component is not
+answered, and what waits is bounded: in a flood the oldest is served and the rest is refused or dropped.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Self
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from contract.answer import Fix, Refusal
+from contract.camera import Camera
+from contract.feature_set import Status
+from onboard.config.schema import Config
+from onboard.events.camera_end import Answered, CameraEnd, Clicked, Share, VideoClick, View, ViewQuestion
+from onboard.events.source import Severity
+from onboard.events.tunnel import Peer
+from onboard.telemetry.camera_messages import CameraFacts, Stream, geo_of_fix, geo_of_track, words_of
+from onboard.telemetry.mavlink_passage import FRAME_BYTES, SIGNATURE_BYTES
+from onboard.telemetry.status_texts import StatusTexts
+
+NS_PER_S = 1_000_000_000
+BEAT_NS = NS_PER_S  # a ground station takes a camera for gone after five seconds
+CONTESTED_NS = 10 * NS_PER_S  # since another camera of our number was received
+MAX_OUT = 24  # messages that wait for the bit rate
+MAX_PENDING = 8  # questions that are being answered
+ANSWERED_NS = 5 * NS_PER_S  # after which a question is taken for lost
+SAME_TEXT_NS = 5 * NS_PER_S  # between two texts with the same words
+LEAST_INTERVAL_US, MOST_INTERVAL_US = 100_000.0, 3.6e9
+
+ACCEPTED = int(mavlink.MAV_RESULT_ACCEPTED)
+BUSY = int(mavlink.MAV_RESULT_TEMPORARILY_REJECTED)
+DENIED = int(mavlink.MAV_RESULT_DENIED)
+UNSUPPORTED = int(mavlink.MAV_RESULT_UNSUPPORTED)
+FAILED = int(mavlink.MAV_RESULT_FAILED)
+IN_PROGRESS = int(mavlink.MAV_RESULT_IN_PROGRESS)
+
+INFORMATION = int(mavlink.MAVLINK_MSG_ID_CAMERA_INFORMATION)
+SETTINGS = int(mavlink.MAVLINK_MSG_ID_CAMERA_SETTINGS)
+STREAM_INFORMATION = int(mavlink.MAVLINK_MSG_ID_VIDEO_STREAM_INFORMATION)
+STREAM_STATUS = int(mavlink.MAVLINK_MSG_ID_VIDEO_STREAM_STATUS)
+FOV = int(mavlink.MAVLINK_MSG_ID_CAMERA_FOV_STATUS)
+IMAGE = int(mavlink.MAVLINK_MSG_ID_CAMERA_TRACKING_IMAGE_STATUS)
+GEO = int(mavlink.MAVLINK_MSG_ID_CAMERA_TRACKING_GEO_STATUS)
+STREAMED = FOV, IMAGE, GEO
+# Commands of before MAV_CMD_REQUEST_MESSAGE: what they ask for. The first two ask with 1.
+OLD_REQUESTS = {
+    mavlink.MAV_CMD_REQUEST_CAMERA_INFORMATION: INFORMATION,
+    mavlink.MAV_CMD_REQUEST_CAMERA_SETTINGS: SETTINGS,
+    mavlink.MAV_CMD_REQUEST_VIDEO_STREAM_INFORMATION: STREAM_INFORMATION,
+    mavlink.MAV_CMD_REQUEST_VIDEO_STREAM_STATUS: STREAM_STATUS,
+}
+# Refusals that no waiting mends: the pixel's, or the camera's.
+PERMANENT = {
+    Status.OUTSIDE, Status.ABOVE_HORIZON, Status.OUTSIDE_CALIBRATION, Status.STABILISED, Status.ZOOMED,
+    Status.CAMERA_LOST,
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Command:
+    """A command to us: its sender, what it is, its first four parameters, and whether it was sent again."""
+
+    sender: Peer
+    command: int
+    parameters: tuple[float, ...]
+    is_again: bool
+
+    @property
+    def key(self) -> tuple[Peer, int, bytes]:
+        """The same for a command that is sent again, also where a parameter is nan."""
+        return self.sender, self.command, struct.pack("<4f", *self.parameters)
+
+
+class MavlinkCamera:
+    """One camera component. `receive` and `due` are called by one thread. `monotonic_s` is the clock of `share`."""
+
+    def __init__(
+        self,
+        component: int,
+        facts: CameraFacts,
+        end: CameraEnd,
+        share: Share,
+        *,
+        signature_bytes: int = 0,
+        monotonic_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.component, self._facts, self._end, self._share = component, facts, end, share
+        self._overhead, self._monotonic_s = FRAME_BYTES + signature_bytes, monotonic_s
+        self._acknowledgements: deque[Any] = deque()
+        self._out: deque[Any] = deque()
+        self._texts = StatusTexts()
+        self._shown = "", -SAME_TEXT_NS  # the last text, and when
+        self._pending: dict[int, tuple[_Command, int]] = {}  # with when it came
+        self._number = 0
+        self._clicked: tuple[_Command, int] | None = None  # the last, and its result
+        self._fix: Fix | None = None  # of the last click
+        self._was_followed = False
+        self._intervals: dict[int, tuple[int, int]] = {}  # of a message: how long, and when it is due next
+        self._next_beat_ns = 0
+        self._contested_ns: int | None = None
+        self._handlers: dict[int, Callable[[_Command, int], int | None]] = {
+            mavlink.MAV_CMD_REQUEST_MESSAGE: self._request,
+            mavlink.MAV_CMD_SET_MESSAGE_INTERVAL: self._set_interval,
+            mavlink.MAV_CMD_CAMERA_TRACK_POINT: self._track_point,
+            mavlink.MAV_CMD_CAMERA_STOP_TRACKING: self._stop_tracking,
+            **dict.fromkeys(OLD_REQUESTS, self._old_request),
+        }
+
+    @classmethod
+    def open(cls, config: Config, camera: Camera, boot_ns: int, end: CameraEnd, share: Share) -> Self:
+        """Make it as the configuration specifies. Raises ConfigError for a video that is none."""
+        stated = config.mavlink_camera
+        stream = None if stated.video is None else Stream.parse(stated.video)
+        facts = CameraFacts(config.vehicle.id, camera, config.camera.rate_hz, stream, boot_ns)
+        signature_bytes = 0 if config.telemetry.signing_key is None else SIGNATURE_BYTES
+        return cls(stated.component, facts, end, share, signature_bytes=signature_bytes)
+
+    # --- in ---
+
+    def receive(self, message: Any, system: int | None, arrival_ns: int) -> None:
+        """One message from the line; `system`: the vehicle's number, as far as it is known."""
+        name = message.get_type()
+        if system is None:
+            return
+        if name == "HEARTBEAT" and (message.get_srcSystem(), message.get_srcComponent()) == (system, self.component):
+            self._contested_ns = arrival_ns
+        if name not in ("COMMAND_LONG", "COMMAND_INT") or message.target_system != system:
+            return
+        is_for_all = message.target_component == 0
+        handler = self._handlers.get(message.command)
+        if message.target_component not in (0, self.component) or self._is_contested(arrival_ns):
+            return
+        sender = Peer(message.get_srcSystem(), message.get_srcComponent())
+        parameters = message.param1, message.param2, message.param3, message.param4
+        command = _Command(sender, message.command, parameters, bool(getattr(message, "confirmation", 0)))
+        if handler is None and is_for_all:  # it may be someone else's
+            return
+        result = UNSUPPORTED if handler is None else handler(command, arrival_ns)
+        if result is not None:
+            self._acknowledge(command, result)
+
+    def _request(self, command: _Command, now_ns: int) -> int | None:
+        return self._asked_for(command, _whole(command.parameters[0]), command.parameters[1], now_ns)
+
+    def _old_request(self, command: _Command, now_ns: int) -> int | None:
+        wanted, first = OLD_REQUESTS[command.command], command.parameters[0]
+        if wanted in (INFORMATION, SETTINGS):
+            if first not in (0.0, 1.0):
+                return DENIED
+            return ACCEPTED if first == 0.0 else self._asked_for(command, wanted, 0.0, now_ns)
+        return self._asked_for(command, wanted, first, now_ns)
+
+    def _asked_for(self, command: _Command, wanted: int | None, index: float, now_ns: int) -> int | None:
+        """Send one message once; the result, None where it comes later."""
+        facts = self._facts
+        if wanted == FOV:
+            return self._ask(command, ViewQuestion(self._next_number()), now_ns)
+        if wanted == GEO:
+            found = self._geo_status()
+            if found is not None:
+                self._put(found)
+            return BUSY if found is None else ACCEPTED
+        if wanted in (STREAM_INFORMATION, STREAM_STATUS):
+            if facts.stream is None or index not in (0.0, 1.0):
+                return DENIED
+            whole = wanted == STREAM_INFORMATION
+            self._put(facts.stream_information(facts.stream) if whole else facts.stream_status())
+            return ACCEPTED
+        if wanted == INFORMATION:
+            self._put(facts.information(now_ns))
+        elif wanted == SETTINGS:
+            self._put(facts.settings(now_ns))
+        elif wanted == IMAGE:
+            self._put(facts.image_status(self._end.followed()))
+        else:
+            return DENIED
+        return ACCEPTED
+
+    def _set_interval(self, command: _Command, now_ns: int) -> int | None:
+        """Of 0, the default rate, there is none: nothing is sent by itself."""
+        wanted, interval_us = _whole(command.parameters[0]), command.parameters[1]
+        if wanted not in STREAMED or not math.isfinite(interval_us):
+            return DENIED
+        if interval_us in (-1.0, 0.0):
+            self._intervals.pop(wanted, None)
+            return ACCEPTED
+        if not LEAST_INTERVAL_US <= interval_us <= MOST_INTERVAL_US:
+            return DENIED
+        interval_ns = round(interval_us * 1e3)
+        self._intervals[wanted] = interval_ns, now_ns + interval_ns
+        return ACCEPTED
+
+    def _track_point(self, command: _Command, now_ns: int) -> int | None:
+        if any(waiting.key == command.key for waiting, _ in self._pending.values()):
+            return IN_PROGRESS
+        if command.is_again and self._clicked is not None and self._clicked[0].key == command.key:
+            return self._clicked[1]
+        u, v, _, camera = command.parameters
+        if not (0.0 <= u <= 1.0 and 0.0 <= v <= 1.0):
+            self._show(Severity.WARNING, "click: the point is off the picture", now_ns)
+            return DENIED
+        if not self._is_ours(camera):
+            return DENIED
+        result = self._ask(command, VideoClick(self._next_number(), (u, v), now_ns), now_ns)
+        if result == BUSY:
+            self._show(Severity.WARNING, "click: too many at once", now_ns)
+        return result
+
+    def _stop_tracking(self, command: _Command, now_ns: int) -> int | None:
+        if not self._is_ours(command.parameters[0]):
+            return DENIED
+        self._end.stop()
+        self._fix = None
+        return ACCEPTED
+
+    def _is_ours(self, camera: float) -> bool:
+        """Return whether a command's Target Camera ID leaves us a part in it; nan is none."""
+        return math.isnan(camera) or camera in (0.0, float(self.component))
+
+    def _ask(self, command: _Command, asked: VideoClick | ViewQuestion, now_ns: int) -> int | None:
+        if len(self._pending) >= MAX_PENDING or not self._end.ask(asked):
+            return BUSY
+        self._pending[asked.number] = command, now_ns
+        return None
+
+    def _next_number(self) -> int:
+        self._number += 1
+        return self._number
+
+    # --- out ---
+
+    def due(self, now_ns: int) -> list[Any]:
+        """Return the messages to send now, the bit rate paid."""
+        if self._is_contested(now_ns):
+            return []
+        for answered in self._end.answers():
+            self._take(answered, now_ns)
+        for number in [n for n, (_, asked_ns) in self._pending.items() if now_ns - asked_ns > ANSWERED_NS]:
+            self._acknowledge(self._pending.pop(number)[0], BUSY)
+        self._stream(now_ns)
+        for message in self._texts.due(now_ns):
+            self._put(message)
+        out, now_s = list[Any](), self._monotonic_s()
+        if now_ns >= self._next_beat_ns:  # paid, but never put off: without it the camera is taken for gone
+            self._next_beat_ns = now_ns + BEAT_NS
+            out.append(_heartbeat())
+            self._share.take(self._cost(out[0]), now_s)
+        for waiting in (self._acknowledgements, self._out):
+            while waiting and self._share.wait_s(self._cost(waiting[0]), now_s) <= 0.0:
+                out.append(waiting.popleft())
+                self._share.take(self._cost(out[-1]), now_s)
+        return out
+
+    def complaint(self, now_ns: int) -> str:
+        """The reason why nothing is answered; empty if there is none."""
+        if not self._is_contested(now_ns):
+            return ""
+        return f"another camera is component {self.component}: set mavlink_camera.component to a free number"
+
+    def _is_contested(self, now_ns: int) -> bool:
+        return self._contested_ns is not None and now_ns - self._contested_ns < CONTESTED_NS
+
+    def _cost(self, message: Any) -> int:
+        return self._overhead + int(message.unpacker.size)
+
+    def _take(self, answered: Answered, now_ns: int) -> None:
+        command, _ = self._pending.pop(answered.number, (None, 0))
+        if isinstance(answered, View):
+            self._take_view(answered, command, now_ns)
+        elif command is not None:
+            self._take_click(answered, command, now_ns)
+
+    def _take_view(self, view: View, command: _Command | None, now_ns: int) -> None:
+        is_there = view.feature_set is not None and view.middle is not None
+        if command is not None:
+            self._acknowledge(command, ACCEPTED if is_there else BUSY)
+        if view.feature_set is not None and view.middle is not None:
+            self._put(self._facts.fov_status(view.feature_set, view.middle, now_ns))
+
+    def _take_click(self, clicked: Clicked, command: _Command, now_ns: int) -> None:
+        answer = clicked.answer
+        if isinstance(answer, Refusal):
+            result = FAILED if answer.status in PERMANENT else BUSY
+            self._show(Severity.WARNING, words_of(answer), now_ns)
+        else:
+            result, self._fix = ACCEPTED, answer
+            self._put(geo_of_fix(answer, is_followed=clicked.is_followed))
+            not_followed = f"; not followed: {clicked.unfollowed}" if clicked.unfollowed else ""
+            self._show(Severity.INFO, words_of(answer) + not_followed, now_ns)
+        self._clicked = command, result
+        self._acknowledge(command, result)
+
+    def _geo_status(self) -> Any | None:
+        """The place of what is followed, else of what was clicked last; None without one."""
+        report = self._end.followed()
+        if report is not None:
+            return geo_of_track(report)
+        return None if self._fix is None else geo_of_fix(self._fix, is_followed=self._end.is_following)
+
+    def _stream(self, now_ns: int) -> None:
+        """What was asked for in intervals: what is followed, then once that it no longer is; and the view."""
+        for wanted, (interval_ns, due_ns) in self._intervals.items():
+            if now_ns < due_ns:
+                continue
+            self._intervals[wanted] = interval_ns, now_ns + interval_ns
+            if wanted == FOV:
+                self._end.ask(ViewQuestion(0))
+            elif wanted == GEO:
+                if (found := self._geo_status()) is not None:
+                    self._put(found)
+            else:
+                report = self._end.followed()
+                if report is not None or self._was_followed:
+                    self._put(self._facts.image_status(report))
+                self._was_followed = report is not None
+
+    def _show(self, severity: Severity, text: str, now_ns: int) -> None:
+        if (text, True) != (self._shown[0], now_ns - self._shown[1] < SAME_TEXT_NS):
+            self._shown = text, now_ns
+            self._texts.add(severity, text)
+
+    def _acknowledge(self, command: _Command, result: int) -> None:
+        if len(self._acknowledgements) < MAX_OUT:
+            self._acknowledgements.append(mavlink.MAVLink_command_ack_message(
+                command.command, result, 0, 0, *command.sender
+            ))  # fmt: skip
+
+    def _put(self, message: Any) -> None:
+        if len(self._out) < MAX_OUT:
+            self._out.append(message)
+
+
+def _heartbeat() -> Any:
+    return mavlink.MAVLink_heartbeat_message(
+        mavlink.MAV_TYPE_CAMERA, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, mavlink.MAV_STATE_ACTIVE, 3
+    )
+
+
+def _whole(value: float) -> int | None:
+    """A parameter that is a whole number; None for any other."""
+    return int(value) if math.isfinite(value) and value == int(value) else None
