@@ -1,8 +1,9 @@
-"""Pinhole intrinsics with OpenCV's five-coefficient distortion: pixel <-> normalised image coordinates, with validity.
+"""Intrinsics of a pinhole with OpenCV's five-coefficient distortion, or of a fisheye: pixel <-> ray, with validity.
 
-Pixel (0, 0) is the centre of the top-left pixel; the camera looks along +z with x to the right and y down. Equations
-(2.1) to (2.4) of docs/mathematics.md. A fitted distortion polynomial need not be invertible over the whole picture
-(it may fold back before the corner): such pixels have no ray, and `unproject` marks them invalid.
+Pixel (0, 0) is the centre of the top-left pixel; the camera looks along +z with x to the right and y down. The models
+are those of `contract/lens.py`. A fitted polynomial need not be invertible over the whole picture (it may fold back
+before the corner), and a fisheye's rays end 80 degrees off its axis: such pixels have no ray, and `unproject` marks
+them invalid.
 """
 
 from __future__ import annotations
@@ -11,12 +12,13 @@ import json
 from dataclasses import InitVar, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from contract.errors import InputError
+from contract.lens import FISHEYE, MAX_ANGLE, MODELS, PINHOLE, Lens
 from contract.stated_values import check_keys, number, numbers, object_of, whole
 from contract.zoom_table import ZoomTable
 
@@ -28,9 +30,11 @@ Sigma = tuple[float, float, float, float, float]
 # sheet give the focal length to some per cent, and k1 and k2 to about this.
 UNKNOWN_SIGMA = (0.02, 0.01, 0.01, 0.05, 0.05)
 SIGMA_KEYS = ("fx", "cx", "cy", "k1", "k2")  # of a camera file's calibration, in the order of `Camera.sigma`
-DISTORTION = "distortion_opencv_k1_k2_p1_p2_k3"
+DISTORTION, FISHEYE_DISTORTION = "distortion_opencv_k1_k2_p1_p2_k3", "distortion_fisheye_k1_k2_k3_k4"
+COEFFICIENTS = {PINHOLE: DISTORTION, FISHEYE: FISHEYE_DISTORTION}  # by model
 PIXEL_ASPECT = "pixel_aspect"
-KEYS = ("model", "size_px", "fx_px", "fy_px", "cx_px", "cy_px", DISTORTION, "calibration", "zoom", PIXEL_ASPECT)
+INTRINSICS = ("size_px", "fx_px", "fy_px", "cx_px", "cy_px")
+KEYS = ("model", *INTRINSICS, *COEFFICIENTS.values(), "calibration", "zoom", PIXEL_ASPECT)
 # What `calibrate` writes of how good it is; only the sigmas are used.
 ABOUT = (
     *("sigma", "verdict", "views", "reprojection_rms_px", "distortion_model", "worst_direction_sigma_px"),
@@ -46,15 +50,12 @@ MAX_UNDECLARED_ASPECT = 1.12
 SAME_ASPECT = 0.05
 MAX_SIZE_PX = 100_000
 MAX_COEFFICIENT = 1e6  # of a long lens, whose picture ends at a hundredth of its focal length
-# Where the radial polynomial's slope has fallen this low, a pixel of noise is three in normalised coordinates: the
-# calibration is extrapolating towards its fold and is not used.
-MIN_RADIAL_SLOPE = 0.3
-NEWTON_STEP = 1e-7  # of `unproject`, normalised, at which its square is nothing
+WITHIN_PX = 1e-3  # that a ray's pixel comes back to, (2.4)
 
 
 @dataclass(frozen=True)
 class Camera:
-    """Intrinsics in pixels; `distortion` is OpenCV's k1, k2, p1, p2, k3.
+    """Intrinsics in pixels; `distortion` is OpenCV's k1, k2, p1, p2, k3, or of the model `fisheye` k1, k2, k3, k4.
 
     `sigma`: one sigma of the focal length (relative), of the principal point (x, y, in focal lengths), of k1 and of k2.
     `zoom`: what the lens becomes at other zoom positions. Both are no part of what the camera is: two cameras are equal
@@ -67,14 +68,20 @@ class Camera:
     fy_px: float
     cx_px: float
     cy_px: float
-    distortion: tuple[float, float, float, float, float] = field(default=(0.0, 0.0, 0.0, 0.0, 0.0))
+    distortion: tuple[float, ...] = field(default=(0.0, 0.0, 0.0, 0.0, 0.0))
+    model: str = PINHOLE
     stated_sigma: InitVar[Sigma | None] = None  # none: the camera is taken as it is
     stated_zoom: InitVar[ZoomTable | None] = None
     sigma: ClassVar[Sigma] = (0.0, 0.0, 0.0, 0.0, 0.0)
     zoom: ClassVar[ZoomTable | None] = None
 
     def __post_init__(self, stated_sigma: Sigma | None, stated_zoom: ZoomTable | None) -> None:
-        """Keep sigmas and zoom separate from the fields, because they are no part of what the camera is."""
+        """Keep sigmas and zoom separate from the fields, because they are no part of what the camera is.
+
+        Raises ValueError for coefficients that are not as many as the model has.
+        """
+        if len(self.distortion) != len(MODELS[self.model].names):
+            raise ValueError(f"a {self.model} has {', '.join(MODELS[self.model].names)}, not {self.distortion}")
         if stated_sigma is not None:
             object.__setattr__(self, "sigma", stated_sigma)
         if stated_zoom is not None:
@@ -101,21 +108,21 @@ class Camera:
     def from_text(cls, text: str, what: str) -> Camera:
         """The text of a camera file; `what` names it in an InputError."""
         raw = object_of(text, what)
-        check_keys(raw, KEYS, what, needed=KEYS[1:6])
-        if raw.get("model", "pinhole") != "pinhole":
-            raise InputError(f"{what}: model {raw['model']!r} is not known; use 'pinhole'")
+        check_keys(raw, KEYS, what, needed=INTRINSICS)
+        model = _model(raw, what)
         size = raw["size_px"]
         if not isinstance(size, list) or len(size) != 2:
             raise InputError(f"{what}: size_px must be a list of width and height")
         width, height = (whole(n, 16, MAX_SIZE_PX, f"{what}: size_px") for n in size)
         low, high = (share * max(size) for share in FOCAL_SHARES)
-        fx, fy = (number(raw[key], low, high, f"{what}: {key}") for key in KEYS[2:4])
+        fx, fy = (number(raw[key], low, high, f"{what}: {key}") for key in INTRINSICS[1:3])
         _check_pixel(fx, fy, raw.get(PIXEL_ASPECT), what)
         cx = number(raw["cx_px"], -0.5, width - 0.5, f"{what}: cx_px")
         cy = number(raw["cy_px"], -0.5, height - 0.5, f"{what}: cy_px")
-        k1, k2, p1, p2, k3 = numbers(raw.get(DISTORTION, [0.0] * 5), 5, MAX_COEFFICIENT, f"{what}: {DISTORTION}")
+        key, count = COEFFICIENTS[model], len(MODELS[model].names)
+        stated = numbers(raw.get(key, [0.0] * count), count, MAX_COEFFICIENT, f"{what}: {key}")
         zoom = None if raw.get("zoom") is None else ZoomTable.from_json(raw["zoom"], what)
-        camera = cls(width, height, fx, fy, cx, cy, (k1, k2, p1, p2, k3), UNKNOWN_SIGMA, zoom)
+        camera = cls(width, height, fx, fy, cx, cy, tuple(stated), model, UNKNOWN_SIGMA, zoom)
         camera.check_use(what)
         sigmas = _stated_sigmas(raw.get("calibration"), f"{what}: calibration")
         if sigmas is None:
@@ -126,26 +133,34 @@ class Camera:
         )
 
     def check_use(self, what: str) -> None:
-        """Raise InputError where half of the picture or more has no ray: no lens is such, its distortion is wrong."""
+        """Raise InputError where half of the picture or more has no ray: no lens is such, its distortion is wrong.
+
+        What a fisheye shows beyond the angle at which its rays end does not count.
+        """
         grid = np.stack(np.meshgrid(*(np.linspace(0.0, n - 1.0, 9) for n in self.size_px)), axis=-1)
-        share = float(np.mean(self.unproject(grid)[1]))
+        counted = self.unproject(grid)[1]
+        if self.model == FISHEYE:
+            off_axis = np.hypot(*np.moveaxis((grid - (self.cx_px, self.cy_px)) / (self.fx_px, self.fy_px), -1, 0))
+            counted = counted[off_axis <= MAX_ANGLE]
+        share = float(np.mean(counted)) if counted.size else 0.0
         if share < 0.5:
+            names = ", ".join(MODELS[self.model].names)
             raise InputError(
                 f"{what}: by its distortion only {100.0 * share:.0f} % of the picture can be used; are the "
-                "coefficients OpenCV's k1, k2, p1, p2, k3, and for this size?"
+                f"coefficients {_WHOSE[self.model]} {names}, and for this size?"
             )
 
     def to_json(self) -> str:
         """The camera file's text; `from_json` reads it back exactly."""
         return json.dumps(
             {
-                "model": "pinhole",
+                "model": self.model,
                 "size_px": [self.width_px, self.height_px],
                 "fx_px": self.fx_px,
                 "fy_px": self.fy_px,
                 "cx_px": self.cx_px,
                 "cy_px": self.cy_px,
-                DISTORTION: list(self.distortion),
+                COEFFICIENTS[self.model]: list(self.distortion),
                 "calibration": {"sigma": dict(zip(SIGMA_KEYS, self._sigma_as_written(), strict=True))},
                 **({} if is_nearly_square(self.fx_px, self.fy_px) else {PIXEL_ASPECT: self.fy_px / self.fx_px}),
                 **({} if self.zoom is None else {"zoom": self.zoom.to_json()}),
@@ -185,58 +200,42 @@ class Camera:
     def focal_px(self) -> float:
         return float(np.sqrt(self.fx_px * self.fy_px))
 
+    @property
+    def hfov_deg(self) -> float:
+        """The angle from the left to the right border, its distortion left out."""
+        across = 0.5 * self.width_px / self.fx_px
+        return float(np.degrees(2.0 * (across if self.model == FISHEYE else np.arctan(across))))
+
+    def fx_of_hfov(self, hfov_deg: float) -> float:
+        """The fx, px, with which the camera would be so wide: the inverse of `hfov_deg`."""
+        across = np.radians(hfov_deg) / 2.0
+        return float(0.5 * self.width_px / (across if self.model == FISHEYE else np.tan(across)))
+
     @cached_property
+    def lens(self) -> Lens:
+        """The model with its coefficients."""
+        return MODELS[self.model](*self.distortion)
+
+    @property
     def max_radius(self) -> float:
-        """The largest undistorted radius (normalised) up to which the radial polynomial's slope stays usable. (2.3)"""
-        k1, k2, _, _, k3 = self.distortion
-        if (k1, k2, k3) == (0.0, 0.0, 0.0):
-            return float("inf")
-        r2 = np.linspace(0.0, 9.0, 9001)
-        slope = 1.0 + r2 * (3.0 * k1 + r2 * (5.0 * k2 + r2 * 7.0 * k3))
-        bad = np.flatnonzero(slope < MIN_RADIAL_SLOPE)
-        return float(np.sqrt(r2[max(bad[0] - 1, 0)])) if bad.size else 3.0
+        """The largest undistorted radius (normalised) up to which the lens is used. (2.3), (30.2)"""
+        return self.lens.max_radius
 
     def distort(self, xy: ArrayLike) -> Array:
-        """Undistorted normalised image coordinates (..., 2) -> distorted ones, (2.1)."""
+        """Undistorted normalised image coordinates (..., 2) -> distorted ones, (2.1) or (30.1)."""
         xy = np.asarray(xy, float)
-        x, y = xy[..., 0], xy[..., 1]
-        k1, k2, p1, p2, k3 = self.distortion
-        r2 = x * x + y * y
-        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        return np.stack(
-            [
-                x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
-                y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
-            ],
-            axis=-1,
-        )
+        flat = np.ascontiguousarray(xy.reshape(-1, 2).T)
+        return (flat + self.lens.displacement(flat)).T.reshape(xy.shape)
 
-    def displacement(self, xy: Array) -> Array:
-        """`distort(xy) - xy`, but for rounding, of rows x, y (2, N): (2.1) in half the time, for what need not agree
-        with `distort` to the last bit.
-        """
-        k1, k2, p1, p2, k3 = self.distortion
-        squares = xy * xy
-        r2 = squares[0] + squares[1]
-        along: Array = r2 * k3
-        along += k2
-        along *= r2
-        along += k1
-        along *= r2
-        # The tangential part is 2 (p2 x + p1 y) (x, y) + r2 (p2, p1).
-        tangential = np.array([[p2], [p1]])
-        across = xy * (2.0 * tangential)
-        along += across[0]
-        along += across[1]
-        out: Array = xy * along
-        out += tangential * r2
-        return out
+    def pixels(self, xy: ArrayLike) -> Array:
+        """Undistorted normalised image coordinates (..., 2) -> pixels, wherever these are."""
+        return self.distort(xy) * (self.fx_px, self.fy_px) + (self.cx_px, self.cy_px)
 
     def area_gain(self, xy: Array) -> Array:
-        """The factor (N,) by which distortion enlarges a small area at undistorted coordinates (N, 2): (2.2)'s
-        determinant.
+        """The factor (N,) by which distortion enlarges a small area at undistorted coordinates (N, 2): the
+        determinant of (2.2) or (30.3).
         """
-        _, along, cross = self.linearised(xy.T)
+        _, along, cross = self.lens.linearised(xy.T)
         out: Array = along[0] * along[1] - cross * cross
         return out
 
@@ -247,7 +246,7 @@ class Camera:
         ahead = z > 1e-9
         xy = points[..., :2] / np.where(ahead, z, 1.0)[..., None]
         usable = ahead & (np.hypot(xy[..., 0], xy[..., 1]) <= self.max_radius)
-        uv = self.distort(xy) * (self.fx_px, self.fy_px) + (self.cx_px, self.cy_px)
+        uv = self.pixels(xy)
         return uv, usable & self.contains(uv)
 
     def contains(self, uv_px: ArrayLike) -> Mask:
@@ -257,7 +256,7 @@ class Camera:
         return (u >= -0.5) & (v >= -0.5) & (u <= self.width_px - 0.5) & (v <= self.height_px - 0.5)
 
     def unproject(self, uv_px: ArrayLike, near: Array | None = None) -> tuple[Array, Mask]:
-        """Pixels (..., 2) -> rays (x, y, 1), (..., 3), and validity. Newton on (2.1) with (2.2); see (2.4).
+        """Pixels (..., 2) -> rays (x, y, 1), (..., 3), and validity; see (2.4).
 
         `near` (..., 2): x, y of these rays by nearly the same camera, for Newton to begin at. An invalid pixel (off the
         picture, or where the calibration folds) has a finite but meaningless ray.
@@ -265,51 +264,29 @@ class Camera:
         uv = np.asarray(uv_px, float)
         xy = (uv - (self.cx_px, self.cy_px)) / (self.fx_px, self.fy_px)
         valid = self.contains(uv)
-        if any(self.distortion):
+        if not self.lens.is_ideal:
             target = np.ascontiguousarray(xy.reshape(-1, 2).T)
-            start = target if near is None else np.ascontiguousarray(near.reshape(-1, 2).T)
-            found, converged = self._undistorted(target, start)
+            start = None if near is None else np.ascontiguousarray(near.reshape(-1, 2).T)
+            found, converged = self.lens.undistorted(target, start, WITHIN_PX / self.focal_px)
             xy = found.T.reshape(uv.shape)
             valid &= converged.reshape(valid.shape)
         rays = np.ones((*uv.shape[:-1], 3))
         rays[..., :2] = np.where(np.isfinite(xy), xy, 0.0)
         return rays, valid
 
-    def _undistorted(self, target: Array, start: Array) -> tuple[Array, Mask]:
-        """Rows x, y (2, N) that `distort` takes to `target` (2, N), and whether to a thousandth of a pixel. (2.4)"""
-        limit = min(self.max_radius, 3.0)
-        xy = start
-        for _ in range(12):
-            radius = np.hypot(*xy)
-            if radius.max(initial=0.0) > limit:
-                xy = xy * np.minimum(limit / np.maximum(radius, 1e-12), 1.0)
-            there, along, cross = self.linearised(xy)
-            off = there - target
-            det = along[0] * along[1] - cross * cross
-            det = np.where(np.abs(det) < 0.05, 0.05, det)
-            step = (along[::-1] * off - cross * off[::-1]) / det
-            xy = xy - step
-            # What is left after a step is of the order of its square.
-            if np.abs(step).max(initial=0.0) < NEWTON_STEP:
-                break
-        off = xy + self.displacement(xy) - target
-        return xy, (np.hypot(*off) * self.focal_px < 1e-3) & (np.hypot(*xy) <= limit)
 
-    def linearised(self, xy: Array) -> tuple[Array, Array, Array]:
-        """(2.1) and (2.2) at once, of rows x, y (2, N): the distorted rows, and d x / d x and d y / d y (2, N) and
-        d x / d y (N,) of the Jacobian, which is symmetric.
-        """
-        k1, k2, p1, p2, k3 = self.distortion
-        squares = xy * xy
-        r2 = squares[0] + squares[1]
-        # The tangential part is 2 (p2 x + p1 y) (x, y) + r2 (p2, p1).
-        tangential = np.array([[p2], [p1]])
-        scale = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3)) + 2.0 * (p2 * xy[0] + p1 * xy[1])
-        slope = 2.0 * k1 + r2 * (4.0 * k2 + r2 * (6.0 * k3))
-        there = xy * scale + r2 * tangential
-        along = scale + squares * slope + 4.0 * tangential * xy
-        cross = xy[0] * xy[1] * slope + 2.0 * (p1 * xy[0] + p2 * xy[1])
-        return there, along, cross
+_WHOSE = {PINHOLE: "OpenCV's", FISHEYE: "OpenCV's fisheye's"}
+
+
+def _model(raw: dict[str, Any], what: str) -> str:
+    """Return the model of a camera file, checked: coefficients of the other are refused. Raises InputError."""
+    model = raw.get("model", PINHOLE)
+    if not isinstance(model, str) or model not in COEFFICIENTS:
+        raise InputError(f"{what}: model {model!r} is not known; use {' or '.join(map(repr, COEFFICIENTS))}")
+    for other, key in COEFFICIENTS.items():
+        if other != model and key in raw:
+            raise InputError(f"{what}: {key} is of the model {other!r}, and this camera's is {model!r}")
+    return model
 
 
 def _stated_sigmas(raw: object, what: str) -> list[float] | None:

@@ -441,10 +441,9 @@ def pixels_of(feature_set: FeatureSet, offset_enu_m: Array) -> tuple[Array, NDAr
     xy = X[:, :2] * w[:, None]
     usable &= np.hypot(*xy.T) <= s.camera.max_radius
     xy = np.where(usable[:, None], xy, 0.0)
-    scale, shift = (s.camera.fx_px, s.camera.fy_px), (s.camera.cx_px, s.camera.cy_px)
-    uv: Array = s.camera.distort(xy) * scale + shift
+    uv = s.camera.pixels(xy)
     if s.shutter is not None:
         for _ in range(SHUTTER_STEPS):  # (18.5), from place to pixel
             late_s = s.shutter.readout_s * np.asarray(row_share(uv[:, 1], s.camera.height_px))[:, None]
-            uv = s.camera.distort(xy + late_s * s.shutter.image_velocity(xy, w)) * scale + shift
+            uv = s.camera.pixels(xy + late_s * s.shutter.image_velocity(xy, w))
     return uv, usable

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from contract.camera import Camera
 from contract.errors import InputError
+from contract.lens import FISHEYE
 from simulation.movers import Movers
 from simulation.raster import look_up
 from simulation.terrain import Terrain
@@ -92,7 +93,10 @@ class Renderer:
         # Where the calibration folds back there is no ray: the lens hood, black.
         self._dark = None if valid.all() else ~valid
         self._rays_cam = rays[..., :2].astype(np.float32)
-        stride = 1 if terrain.has_obstacles else LATTICE_PX
+        # A fisheye's rays are too far apart at its border to interpolate between some of them.
+        stride = 1 if terrain.has_obstacles or camera.model == FISHEYE else LATTICE_PX
+        grown = np.sqrt(np.maximum(np.abs(camera.area_gain(rays[..., :2].reshape(-1, 2))), 1e-3))
+        self._pixel = (1.0 / (camera.focal_px * grown.reshape(height, width))).astype(np.float32)  # undistorted side
         self._stride = stride
         columns = np.arange(0, width - 1 + stride, stride, dtype=float)
         rows = np.arange(0, height - 1 + stride, stride, dtype=float)
@@ -164,7 +168,7 @@ class Renderer:
         north = (R[1, 0] * x + R[1, 1] * y + R[1, 2]) * depth + moved[1]
         length = np.sqrt(x * x + y * y + np.float32(1.0))
         slant = length / np.maximum(-down, np.float32(0.02))
-        footprint = depth * np.float32(1.0 / self.camera.focal_px) * slant ** np.float32(0.75)
+        footprint = depth * self._pixel * slant ** np.float32(0.75)
         return View(east, north, depth, depth * length, footprint, shade, seen, lift)
 
     def _surface(self, pose: Pose, rows: RowPoses | None) -> tuple[Image, Image, Image | None]:

@@ -1,7 +1,7 @@
 """FeatureSet <-> bytes. docs/wire-format.md is the specification; section numbers below are its own.
 
-`encode` writes version 4.0, with a clicked pixel 4.1, and sorts features by row; what `decode` returns encodes to the
-same bytes again.
+`encode` writes version 4.0, of a fisheye 5.0, with a clicked pixel 4.1 and 5.1, and sorts features by row; what
+`decode` returns encodes to the same bytes again.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import Any
 from contract.camera import Camera
 from contract.errors import CorruptPayload, NewerPayload, TruncatedPayload
 from contract.feature_set import COMMON_STATES, DepthSource, FeatureSet, HeightDatum, Status
+from contract.lens import FISHEYE, MODELS, PINHOLE
 from contract.wire.byte_cursor import ByteCursor
 from contract.wire.clicked_code import decode_clicked, encode_clicked
 from contract.wire.common_code import common_from_numbers, common_numbers, shared_codes, shared_from_codes
@@ -24,14 +25,12 @@ from contract.wire.geometry_code import decode_shutter, encode_shutter, pose_fro
 from contract.wire.number_code import decode_numbers, encode_numbers
 
 MAGIC = b"PC"
-MAJOR, MINOR = 4, 1
+MAJORS, MINOR = {PINHOLE: 4, FISHEYE: 5}, 1  # a ground that knows no fisheye refuses its sets by their version
 MAX_VEHICLE_BYTES = 32
 
 # Section 2: magic, version, length, flags, status, session, frame, revision, capture time, vehicle's length.
 _HEAD = struct.Struct("<2sBHBBIIHQB")
 _CAMERA = struct.Struct("<HH4f")
-_DISTORTION = struct.Struct("<5f")
-_NINE = struct.Struct("<9f")  # both: focal lengths, principal point, distortion
 _CRC = struct.Struct("<I")
 # Section 4: latitude, longitude, height, undulation, rotation; plane, its spread, roughness; sigmas of the fresh
 # states; correlation times, alignment, span; number of features and their smallest sigma.
@@ -42,6 +41,7 @@ _KEYFRAME, _ELLIPSOID, _UNDULATION, _DISTORTED, _POSED, _ROLLING = 1, 2, 4, 8, 6
 _SOURCE_SHIFT, _SOURCE_MASK = 4, 3
 _SOURCES = tuple(DepthSource)
 _STATUSES = tuple(Status)
+_MODELS = {major: model for model, major in MAJORS.items()}
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ def encode(feature_set: FeatureSet) -> bytes:
         raise ValueError(f"a set with status {s.status.value!r} carries no features, this one has {len(s)}")
     head = _HEAD.pack(
         MAGIC,
-        MAJOR << 4 | (0 if s.clicked is None else MINOR),
+        MAJORS[camera.model] << 4 | (0 if s.clicked is None else MINOR),
         _HEAD.size + len(body) + _CRC.size,
         flags,
         s.status.code,
@@ -121,7 +121,7 @@ def decode(payload: bytes) -> FeatureSet:
         raise CorruptPayload("checksum does not match")
     cursor = ByteCursor(payload, _HEAD.size, length - _CRC.size)
     vehicle = _vehicle(cursor, vehicle_bytes)
-    camera = _decode_camera(cursor, bool(flags & _DISTORTED))
+    camera = _decode_camera(cursor, _MODELS[version >> 4], bool(flags & _DISTORTED))
     geometry = _decode_geometry(cursor, camera, flags) if flags & _POSED else {}
     clicked = decode_clicked(cursor, camera) if version & 15 and geometry else None
     if version & 15 <= MINOR and cursor.position != cursor.end:
@@ -148,9 +148,10 @@ def _read_head(payload: bytes) -> tuple[Any, ...]:
         raise CorruptPayload(f"payload starts with {payload[:2]!r}, not {MAGIC!r}")
     if len(payload) < 3:
         raise TruncatedPayload(f"payload has {len(payload)} bytes")
-    if (major := payload[2] >> 4) != MAJOR:
-        read = f"payload has version {major}.{payload[2] & 15}, this program reads {MAJOR}.x"
-        raise NewerPayload(f"{read}: update it") if major > MAJOR else CorruptPayload(read)
+    if (major := payload[2] >> 4) not in _MODELS:
+        known = " and ".join(f"{each}.x" for each in _MODELS)
+        read = f"payload has version {major}.{payload[2] & 15}, this program reads {known}"
+        raise NewerPayload(f"{read}: update it") if major > max(_MODELS) else CorruptPayload(read)
     if len(payload) < _HEAD.size:
         raise TruncatedPayload(f"payload has {len(payload)} bytes, its head alone takes {_HEAD.size}")
     head = _HEAD.unpack_from(payload)
@@ -181,26 +182,27 @@ def _rounded(camera: Camera) -> Camera:
         raise ValueError(f"picture size {camera.size_px} must be between 1 and 65535")
     numbers = (camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, *camera.distortion)
     try:
-        rounded = _NINE.unpack(_NINE.pack(*numbers))
+        rounded = struct.unpack(f"<{len(numbers)}f", struct.pack(f"<{len(numbers)}f", *numbers))
     except OverflowError:
         rounded = (math.inf,)
     if not all(map(math.isfinite, rounded)) or min(rounded[:2]) <= 0.0:
         raise ValueError(f"intrinsics and distortion {numbers} must be finite, focal lengths positive")
-    fx, fy, cx, cy, k1, k2, p1, p2, k3 = rounded
-    return Camera(camera.width_px, camera.height_px, fx, fy, cx, cy, (k1, k2, p1, p2, k3))
+    fx, fy, cx, cy, *distortion = rounded
+    return Camera(camera.width_px, camera.height_px, fx, fy, cx, cy, tuple(distortion), camera.model)
 
 
 def _encode_camera(camera: Camera) -> bytes:
     out = _CAMERA.pack(camera.width_px, camera.height_px, camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px)
-    return out + _DISTORTION.pack(*camera.distortion) if any(camera.distortion) else out
+    return out + struct.pack(f"<{len(camera.distortion)}f", *camera.distortion) if any(camera.distortion) else out
 
 
-def _decode_camera(cursor: ByteCursor, distorted: bool) -> Camera:
+def _decode_camera(cursor: ByteCursor, model: str, distorted: bool) -> Camera:
     width, height, fx, fy, cx, cy = cursor.unpack(_CAMERA)
-    k1, k2, p1, p2, k3 = cursor.unpack(_DISTORTION) if distorted else (0.0,) * 5
-    if not (all(map(math.isfinite, (fx, fy, cx, cy, k1, k2, p1, p2, k3))) and min(width, height, fx, fy) > 0):
+    count = len(MODELS[model].names)
+    distortion = cursor.unpack(struct.Struct(f"<{count}f")) if distorted else (0.0,) * count
+    if not (all(map(math.isfinite, (fx, fy, cx, cy, *distortion))) and min(width, height, fx, fy) > 0):
         raise CorruptPayload("intrinsics are not those of a camera")
-    return Camera(width, height, fx, fy, cx, cy, (k1, k2, p1, p2, k3))
+    return Camera(width, height, fx, fy, cx, cy, tuple(distortion), model)
 
 
 def _encode_geometry(s: FeatureSet, camera: Camera) -> bytes:

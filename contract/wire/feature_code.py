@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from contract.camera import Camera
 from contract.errors import CorruptPayload
 from contract.feature_set import FeatureSet
+from contract.lens import FISHEYE, MAX_ANGLE, SMALL_RADIUS
 from contract.wire import bits
 from contract.wire.covariance_code import MAX_SIGMA_CODE, SIGMA_FLOOR, SIGMA_UNIT, sigma_code, sigma_from_code
 
@@ -130,10 +131,11 @@ def _plane_inverse_depth(camera: Camera, plane_per_m: list[float], uv_px: Array)
     """The plane's inverse depths at pixels (2, N), rows u and v: the reference both sides code inverse depths against.
 
     A series undoes the distortion well enough to predict, cheaply and identically on both sides; the rest is part of
-    the residual. Where it diverges (a calibration that folds) the distorted coordinates have to do.
+    the residual. Where it diverges (a calibration that folds) the distorted coordinates have to do. Of a fisheye it
+    gives the angle off the axis.
     """
     a, b, c = plane_per_m
-    _, _, p1, p2, _ = camera.distortion
+    p1, p2 = (0.0, 0.0) if camera.model == FISHEYE else camera.distortion[2:4]
     with np.errstate(all="ignore"):
         x = (uv_px[0] - camera.cx_px) * (1.0 / camera.fx_px)
         y = (uv_px[1] - camera.cy_px) * (1.0 / camera.fy_px)
@@ -143,11 +145,12 @@ def _plane_inverse_depth(camera: Camera, plane_per_m: list[float], uv_px: Array)
         along: Array = x * b
         along += y * c
         terms, is_small = _undistortion(camera)
-        if terms:
+        if terms or camera.model == FISHEYE:
             x *= x
             y *= y
             x += y
-            along += along * _stretch(x, terms, is_small)
+            grown = _stretch(x, terms, is_small) if terms else np.zeros_like(x)
+            along += along * (_by_angle(x, grown) if camera.model == FISHEYE else grown)
         along += a
     return along
 
@@ -157,16 +160,17 @@ def _undistortion(camera: Camera) -> tuple[list[float], bool]:
     """Coefficients of r^2, r^4, ... by which distorted coordinates grow to undo the radial distortion, and whether
     that is surely less than `MAX_UNDISTORTION`.
 
-    The first four terms of the series that inverts (2.1) without its tangential part (Drap and Lefevre 2016), less the
-    last ones that are next to nothing in the farthest corner.
+    The first four terms of the series that inverts (2.1) without its tangential part, or (30.1) (Drap and Lefevre
+    2016), less the last ones that are next to nothing in the farthest corner.
     """
-    k1, k2, _, _, k3 = camera.distortion
+    k1, k2, *others = camera.distortion
+    k3, k4 = others if camera.model == FISHEYE else (others[2], 0.0)
     k11 = k1 * k1
     terms = [
         -k1,
         3.0 * k11 - k2,
         k1 * (8.0 * k2 - 12.0 * k11) - k3,
-        55.0 * k11 * (k11 - k2) + 5.0 * k2 * k2 + 10.0 * k1 * k3,
+        55.0 * k11 * (k11 - k2) + 5.0 * k2 * k2 + 10.0 * k1 * k3 - k4,
     ]
     x = max(camera.cx_px + 0.5, camera.width_px - 0.5 - camera.cx_px) / camera.fx_px
     y = max(camera.cy_px + 0.5, camera.height_px - 0.5 - camera.cy_px) / camera.fy_px
@@ -175,6 +179,16 @@ def _undistortion(camera: Camera) -> tuple[list[float], bool]:
     while sizes and sizes[-1] < LEAST_TERM:
         sizes.pop()
     return terms[: len(sizes)], sum(sizes) * math.sqrt(r2) < MAX_UNDISTORTION
+
+
+def _by_angle(r2: Array, grown: Array) -> Array:
+    """How much a fisheye's distorted coordinates grow to be tangents, at squared radii (N,), whose angles `grown` has.
+
+    (30.1)
+    """
+    radius = np.sqrt(r2)
+    angle = np.minimum(radius + radius * grown, MAX_ANGLE)
+    return np.where(radius > SMALL_RADIUS, np.tan(angle) / np.maximum(radius, SMALL_RADIUS) - 1.0, 0.0)
 
 
 def _stretch(r2: Array, terms: list[float], is_small: bool) -> Array:

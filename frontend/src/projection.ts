@@ -6,7 +6,8 @@ import type { FrameView } from "./types.js";
 
 export interface Camera {
   fx: number; fy: number; cx: number; cy: number;
-  distortion: [number, number, number, number, number];
+  model: "pinhole" | "fisheye";
+  distortion: number[]; // k1, k2, p1, p2, k3; a fisheye's k1, k2, k3, k4
   max_radius: number;
   lat_deg: number; lon_deg: number;
   height_m: number; is_ellipsoidal: boolean; undulation_m: number | null; // which height that is; ellipsoidal minus above sea level
@@ -100,13 +101,22 @@ export function groundHeight({ features }: Pick<FrameView, "features">, camera: 
 /** Normalised image coordinates -> pixel; null beyond what the distortion describes. */
 function distorted(camera: Camera, x: number, y: number): Pixel | null {
   if (Math.hypot(x, y) > camera.max_radius) return null;
-  const [k1, k2, p1, p2, k3] = camera.distortion;
+  if (camera.model === "fisheye") return byAngle(camera, x, y);
+  const [k1, k2, p1, p2, k3] = camera.distortion as [number, number, number, number, number];
   const r2 = x * x + y * y;
   const radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
   return {
     u: camera.cx + camera.fx * (x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)),
     v: camera.cy + camera.fy * (y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y),
   };
+}
+
+/** A fisheye's, whose radii go by the angle off the axis and not its tangent. (30.1) */
+function byAngle(camera: Camera, x: number, y: number): Pixel {
+  const [k1, k2, k3, k4] = camera.distortion as [number, number, number, number];
+  const radius = Math.hypot(x, y), angle = Math.atan(radius), a2 = angle * angle;
+  const scale = radius < 1e-9 ? 1.0 : angle * (1.0 + a2 * (k1 + a2 * (k2 + a2 * (k3 + a2 * k4)))) / radius;
+  return { u: camera.cx + camera.fx * x * scale, v: camera.cy + camera.fy * y * scale };
 }
 
 /** How a point that does not move on the ground moves over the picture, normalised, 1/s. (18.2) */

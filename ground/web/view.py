@@ -78,6 +78,7 @@ def camera_view(s: FeatureSet) -> dict[str, Any]:
         "fy": c.fy_px,
         "cx": c.cx_px,
         "cy": c.cy_px,
+        "model": c.model,
         "distortion": list(c.distortion),
         "max_radius": min(c.max_radius, 1e3),
         "lat_deg": s.camera_lat_deg,
@@ -205,7 +206,7 @@ def _paths(s: FeatureSet, uv_px: Array, earlier: Sequence[FeatureSet]) -> list[l
         moved = here.to_enu(*np.moveaxis(there.to_geodetic(offsets), -1, 0)) @ np.asarray(s.R_enu_cam, float)
         ahead = moved[:, 2] > 1e-6
         xy = moved[:, :2] / np.where(ahead, moved[:, 2], 1.0)[:, None]
-        seen = s.camera.distort(xy) * (s.camera.fx_px, s.camera.fy_px) + (s.camera.cx_px, s.camera.cy_px)
+        seen = s.camera.pixels(xy)
         # Two sets' positions may differ by more than the distance between features: first remove the shift of all of
         # them.
         for reach_px in (COMMON_SHIFT_PX, SAME_FEATURE_PX):

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from contract.camera import (
     DISTORTION,
-    MIN_RADIAL_SLOPE,
     PIXEL_ASPECT,
     UNKNOWN_SIGMA,
     Camera,
@@ -18,11 +17,11 @@ from contract.camera import (
     is_nearly_square,
 )
 from contract.errors import InputError
+from contract.lens import MAX_RADIUS, MIN_RADIAL_SLOPE
 from onboard.camera_files.stated_lens import Array, Further, StatedLens
 
 GRID = (33, 25)
 STEP = 1e-6  # of derivatives, normalised
-MAX_RADIUS = 3.0  # as our camera's: 143 degrees wide
 MIDDLE = 0.25  # of width and height: a centre further off the middle is a cropped picture's, or counted from elsewhere
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 import os
 from pathlib import Path
 
@@ -11,9 +10,8 @@ import numpy as np
 
 from contract.camera import Camera
 from contract.errors import InputError
+from contract.lens import FISHEYE
 from onboard.camera_files.formats import CameraFile, read_camera_file
-
-TERMS = ("k1", "k2", "p1", "p2", "k3")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -36,17 +34,18 @@ def text(read: CameraFile) -> list[str]:
         lines.append(f"left: {', '.join(_shown(name) for name in read.left[:20])}")
     if read.had:
         lines.append(f"reduced: without {' and '.join(read.had)} its pixels are up to {read.off_px:.2g} px off")
-    wide = 2.0 * math.degrees(math.atan(0.5 * camera.width_px / camera.fx_px))
+    lens = "fisheye" if camera.model == FISHEYE else "lens"
     lines += [
-        f"lens: {camera.width_px}x{camera.height_px}, {wide:.1f} deg wide without its distortion; "
+        f"{lens}: {camera.width_px}x{camera.height_px}, {camera.hfov_deg:.1f} deg wide without its distortion; "
         f"fx {camera.fx_px:.2f} fy {camera.fy_px:.2f} cx {camera.cx_px:.2f} cy {camera.cy_px:.2f} px",
-        "distortion: " + " ".join(f"{n} {v:.6g}" for n, v in zip(TERMS, camera.distortion, strict=True)),
+        "distortion: " + " ".join(f"{n} {v:.6g}" for n, v in zip(camera.lens.names, camera.distortion, strict=True)),
         _sigma_line(read),
     ]
     axes = (np.linspace(0.0, n - 1.0, 17) for n in camera.size_px)
     rayless = 1.0 - float(np.mean(camera.unproject(np.stack(np.meshgrid(*axes), axis=-1))[1]))
     if rayless > 0.0:
-        lines.append(f"no ray: {100.0 * rayless:.0f} % of the picture, where the distortion folds; left out in flight")
+        why = "where the distortion folds" + (" or beyond 80 degrees off the axis" if camera.model == FISHEYE else "")
+        lines.append(f"no ray: {100.0 * rayless:.0f} % of the picture, {why}; left out in flight")
     return lines
 
 

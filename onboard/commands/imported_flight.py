@@ -221,8 +221,7 @@ def _unknown(size_px: tuple[int, int]) -> Optics:
 
 
 def _width_text(camera: Camera) -> str:
-    fov_deg = math.degrees(2.0 * math.atan(0.5 * camera.width_px / camera.fx_px))
-    return f"{camera.width_px} x {camera.height_px}, {fov_deg:.0f} deg wide"
+    return f"{camera.width_px} x {camera.height_px}, {camera.hfov_deg:.0f} deg wide"
 
 
 def sections_of(path: Path) -> dict[str, dict[str, str]]:

@@ -259,8 +259,7 @@ def _calibration(camera: Camera | str) -> Line:
     if isinstance(camera, str):
         return Line("calibration", False, camera)
     width, height = camera.size_px
-    field_deg = math.degrees(2.0 * math.atan(0.5 * width / camera.focal_px))
-    return Line("calibration", True, f"{width} x {height}, {field_deg:.0f} deg wide")
+    return Line("calibration", True, f"{width} x {height}, {camera.hfov_deg:.0f} deg wide")
 
 
 def _radio(config: Config, radio: RadioReport | None) -> Line:

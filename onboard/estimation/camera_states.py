@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.camera import Camera
+from contract.lens import FISHEYE, PINHOLE
 from onboard.estimation.information import with_own_variance
 from onboard.estimation.platform_states import STATES
 
@@ -21,7 +22,11 @@ Array = NDArray[np.float64]
 FOCAL_LENGTH, K1, COUNT = 0, 3, 5  # focal length, principal point (x, y), k1, k2
 CERTAIN = 1e-6  # one sigma of a state that is taken to be 0
 READOUT = COUNT  # where that state is, if it is one
-NUMBERS = ("focal_px", "cx_px", "cy_px", "k1", "k2")  # of the camera in the state directory
+# Of the camera in the state directory: the same coefficient of two models is another number.
+NUMBERS = {
+    PINHOLE: ("focal_px", "cx_px", "cy_px", "k1", "k2"),
+    FISHEYE: ("focal_px", "cx_px", "cy_px", "fisheye_k1", "fisheye_k2"),
+}
 MIN_DETERMINANT = 0.05  # of the distortion's Jacobian: where it folds over, nothing is measured
 
 
@@ -30,14 +35,14 @@ def corrected(camera: Camera, states: Array) -> Camera:
     if not len(states):
         return camera
     grown = float(np.exp(states[0]))
-    k1, k2, p1, p2, k3 = camera.distortion
+    k1, k2, *others = camera.distortion
     return replace(
         camera,
         fx_px=camera.fx_px * grown,
         fy_px=camera.fy_px * grown,
         cx_px=camera.cx_px + camera.focal_px * float(states[1]),
         cy_px=camera.cy_px + camera.focal_px * float(states[2]),
-        distortion=(k1 + float(states[3]), k2 + float(states[4]), p1, p2, k3),
+        distortion=(k1 + float(states[3]), k2 + float(states[4]), *others),
     )
 
 
@@ -72,18 +77,16 @@ def by_states(camera: Camera, x: Array, y: Array) -> Array:
 
     `camera` is the one that they were computed with.
     """
-    there, along, cross = camera.linearised(np.stack([x.ravel(), y.ravel()]))
+    rows = np.stack([x.ravel(), y.ravel()])
+    there, along, cross = camera.lens.linearised(rows)
     there, along = (each.reshape(2, *x.shape).swapaxes(0, 1) for each in (there, along))  # (K, 2, P)
-    r2 = x * x + y * y
     out = np.zeros((len(x), COUNT, 2, x.shape[1]))
-    # The change of the distorted coordinates less the distortion's own: both sides of (2.1) must stay equal.
+    # The change of the distorted coordinates less the distortion's own: both sides of the model must stay equal.
     np.negative(there, out=out[:, 0])
     out[:, 1, 0] = -camera.focal_px / camera.fx_px
     out[:, 2, 1] = -camera.focal_px / camera.fy_px
-    np.multiply(-r2, x, out=out[:, 3, 0])
-    np.multiply(-r2, y, out=out[:, 3, 1])
-    np.multiply(out[:, 3], r2[:, None], out=out[:, 4])
-    if not any(camera.distortion):
+    np.negative(camera.lens.by_coefficients(rows).reshape(2, 2, *x.shape).transpose(2, 0, 1, 3), out=out[:, 3:])
+    if camera.lens.is_ideal:
         return out
     along, cross = along[:, None], cross.reshape(len(x), 1, 1, -1)
     det = along.prod(axis=2, keepdims=True) - cross * cross
@@ -98,20 +101,21 @@ def seen_through(camera_file: Camera, camera: Camera, states: Array, xy: Array) 
     poses, so that what the second order leaves, a fifth of a pixel at a hundredth of the focal length, moves them.
     """
     better = corrected(camera_file, states)
-    uv = camera.distort(xy) * (camera.fx_px, camera.fy_px) + (camera.cx_px, camera.cy_px)
-    return better, taken(states), better.unproject(uv, xy)[0][..., :2]
+    return better, taken(states), better.unproject(camera.pixels(xy), xy)[0][..., :2]
 
 
 def as_numbers(camera: Camera, states: Array, configured_s: float = 0.0) -> dict[str, float]:
     """The corrected camera, for the state directory: what it is, not how far it is from a file that may be replaced."""
     c = corrected(camera, states)
-    out = dict(zip(NUMBERS, (c.focal_px, c.cx_px, c.cy_px, *c.distortion[:2]), strict=True))
+    out = dict(zip(NUMBERS[c.model], (c.focal_px, c.cx_px, c.cy_px, *c.distortion[:2]), strict=True))
     return {**out, "readout_s": configured_s + readout_s(states)} if len(states) > READOUT else out
 
 
 def from_numbers(camera: Camera, numbers: dict[str, float], configured_s: float = 0.0) -> Array:
     """The states (5,) or (6,) that make the file's camera such a one. Raises KeyError, TypeError, ValueError."""
-    f, x, y, k1, k2 = (float(numbers[key]) for key in NUMBERS)
+    if NUMBERS[camera.model][-1] not in numbers:
+        raise ValueError(f"its lens is not the {camera.model} that the camera file states; delete it")
+    f, x, y, k1, k2 = (float(numbers[key]) for key in NUMBERS[camera.model])
     off = np.array([x - camera.cx_px, y - camera.cy_px]) / camera.focal_px
     out = [np.log(f / camera.focal_px), *off, k1 - camera.distortion[0], k2 - camera.distortion[1]]
     return np.array([*out, float(numbers["readout_s"]) - configured_s] if "readout_s" in numbers else out)

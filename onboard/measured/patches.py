@@ -93,8 +93,8 @@ def by_offset(patch: Patch) -> Array:
 
 
 def _by_place(camera: Camera, xy: Array) -> Array:
-    """The Jacobian (2, 2) of the lens's distortion, (2.2)."""
-    _, along, cross = camera.linearised(xy[:, None])
+    """The Jacobian (2, 2) of the lens's distortion, (2.2) or (30.3)."""
+    _, along, cross = camera.lens.linearised(xy[:, None])
     return np.array([[along[0, 0], cross[0]], [cross[0], along[1, 0]]])
 
 

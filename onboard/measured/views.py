@@ -90,6 +90,8 @@ class View:
     modes: Modes
 
 
+FAR = 1e3  # focal lengths from the middle of the picture
+
 _frame_at = lru_cache(maxsize=512)(LocalFrame)  # each click asks for those of all kept pictures
 
 
@@ -104,11 +106,14 @@ def relative_pose(clicked: FeatureSet, other: FeatureSet) -> tuple[Array, Array]
 
 
 def pixels(camera: Camera, directions: Array) -> Array:
-    """Pixels (..., 2) of directions (..., 3) in camera axes; far off the picture for what is behind."""
+    """Pixels (..., 2) of directions (..., 3) in camera axes; far off the picture for what is behind, or beyond what
+    the lens describes.
+    """
     z = directions[..., 2:]
     ahead = z > 1e-6
-    xy = np.clip(np.where(ahead, directions[..., :2] / np.where(ahead, z, 1.0), 1e3), -1e3, 1e3)
-    return np.asarray(camera.distort(xy) * (camera.fx_px, camera.fy_px) + (camera.cx_px, camera.cy_px), float)
+    xy = np.where(ahead, directions[..., :2] / np.where(ahead, z, 1.0), FAR)
+    seen = np.hypot(xy[..., :1], xy[..., 1:]) <= min(camera.max_radius, FAR)
+    return np.where(seen, camera.pixels(np.where(seen, xy, 0.0)), -FAR * camera.focal_px)
 
 
 def view_of(

@@ -136,9 +136,9 @@ def _inverse_depth(R_cam_enu: Array, plane: Array | None, centre_enu_m: Array) -
 
 
 def _moved_px(camera: Camera, uv_px: Array, moving: Moving) -> Array:
-    """The displacement (N, 2) since the middle row of what these pixels see; the lens's distortion is left out."""
-    focal = np.array([camera.fx_px, camera.fy_px])
-    xy = (uv_px - (camera.cx_px, camera.cy_px)) / focal
-    share = np.asarray(row_share(np.clip(uv_px[:, 1], 0.0, camera.height_px - 1.0), camera.height_px))
-    out: Array = moving.readout_s * moving.by_readout(xy, share) * focal
-    return out
+    """The displacement (N, 2) since the middle row of what these pixels see; none of what has no ray."""
+    at = np.clip(uv_px, 0.0, np.array(camera.size_px) - 1.0)
+    rays, valid = camera.unproject(at)
+    xy = rays[:, :2]
+    moved = moving.readout_s * moving.by_readout(xy, np.asarray(row_share(at[:, 1], camera.height_px)))
+    return np.where(valid[:, None], camera.pixels(xy + moved) - camera.pixels(xy), 0.0)

@@ -98,7 +98,7 @@ class ZoomFollowing:
         if unit == "hfov_deg":
             if table is None:  # autopilots report what is set in their parameters, of lenses that do not zoom too
                 return None
-            value = 0.5 * self._file.width_px / math.tan(math.radians(value) / 2.0) if 0.0 < value < 179.0 else 0.0
+            value = self._file.fx_of_hfov(value) if 0.0 < value < 179.0 else 0.0
         if not 0.0 < value < math.inf:
             return None
         # Both are of the picture's width, and pixels need not be square.

@@ -52,7 +52,8 @@ def ground_scale(its_set: FeatureSet, shape: tuple[int, int]) -> GroundScale | N
     w = rays @ np.array([s.plane_per_m[1], s.plane_per_m[2], s.plane_per_m[0]])
     shown = valid & (w > MIN_PLANE_SHARE * max(float(w.max()), 1e-12))
     up = abs(float(s.R_enu_cam[2] @ np.array([s.plane_per_m[1], s.plane_per_m[2], s.plane_per_m[0]])))
-    area = up / np.where(shown, w, np.nan) ** 3 / (camera.fx_px * camera.fy_px)
+    by_pixel = camera.fx_px * camera.fy_px * np.abs(camera.area_gain(rays.reshape(-1, 3)[:, :2])).reshape(w.shape)
+    area = up / np.where(shown, w, np.nan) ** 3 / np.where(shown, by_pixel, np.nan)
     return GroundScale(area) if shown.any() and up > 0.0 else None
 
 

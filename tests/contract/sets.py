@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 
 from contract.camera import Camera
 from contract.feature_set import COMMON_STATES, NUISANCES, DepthSource, FeatureSet, HeightDatum, SharedErrors, Status
+from contract.lens import FISHEYE, PINHOLE
 from contract.rolling_shutter import RollingShutter
 from contract.rotations import exp_so3
 
+FISHEYE_DISTORTION = (-0.031, 0.012, -0.006, 0.0011)
 DISTORTION = (-0.21, 0.052, 0.0007, -0.0004, 0.011)
 
 
@@ -79,11 +81,12 @@ def feature_sets(draw: st.DrawFn) -> FeatureSet:
     """Anything `encode` should accept, hard cases included: singular covariances, half turns, poles, corner pixels."""
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     width, height = draw(st.sampled_from([(640, 480), (1920, 1080), (17, 31), (4000, 3000)]))
-    distortion = draw(
-        st.sampled_from([(0.0,) * 5, DISTORTION, (1e-50, 0.0, 0.0, 0.0, 0.0), (0.9, -2.0, 0.1, 0.1, 5.0)])
-    )
-    k1, k2, p1, p2, k3 = distortion
-    camera = Camera(width, height, 1.1 * width, 1.2 * width, 0.49 * width, 0.52 * height, (k1, k2, p1, p2, k3))
+    pinholes = [(0.0,) * 5, DISTORTION, (1e-50, 0.0, 0.0, 0.0, 0.0), (0.9, -2.0, 0.1, 0.1, 5.0)]
+    fisheyes = [(0.0,) * 4, FISHEYE_DISTORTION, (0.9, -2.0, 0.1, 5.0)]
+    distortion = draw(st.sampled_from([*pinholes, *fisheyes]))
+    model, focal = (FISHEYE, 0.4) if len(distortion) == 4 else (PINHOLE, 1.1)
+    f = focal * width
+    camera = Camera(width, height, f, 1.1 * f, 0.49 * width, 0.52 * height, distortion, model)
     status = draw(st.sampled_from([Status.OK, Status.OK, Status.OK, Status.TURNING, Status.OUTSIDE_CALIBRATION]))
     identity: dict[str, Any] = {
         "vehicle": draw(st.text(min_size=1, max_size=8)),

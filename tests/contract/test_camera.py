@@ -1,15 +1,17 @@
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from contract.camera import Camera
 from contract.errors import InputError
 
+FISHEYE = Camera(640, 480, 330.0, 333.0, 322.0, 236.0, (-0.031, 0.012, -0.006, 0.0011), "fisheye")  # 140 degrees
 MILD = Camera(640, 480, 700.0, 710.0, 322.0, 236.0, (-0.21, 0.052, 0.0007, -0.0004, 0.011))
 FOLDING = Camera(640, 480, 400.0, 400.0, 319.5, 239.5, (-0.6, 0.0, 0.0, 0.0, 0.0))
 us, vs = st.floats(-0.5, 639.5), st.floats(-0.5, 479.5)
@@ -17,7 +19,7 @@ us, vs = st.floats(-0.5, 639.5), st.floats(-0.5, 479.5)
 
 @given(us, vs)
 def test_a_pixels_ray_projects_back_to_it(u: float, v: float) -> None:
-    for camera in (MILD, Camera.from_field_of_view(640, 480, 40.0)):
+    for camera in (MILD, FISHEYE, Camera.from_field_of_view(640, 480, 40.0)):
         ray, valid = camera.unproject((u, v))
         assert valid and ray[2] == 1.0
         uv, _ = camera.project(7.0 * ray)
@@ -32,12 +34,33 @@ def test_projection_is_opencvs(xy: list[tuple[float, float]]) -> None:
     np.testing.assert_allclose(MILD.project(points)[0], expected[:, 0], atol=1e-6)
 
 
-def test_the_displacement_is_what_distortion_adds() -> None:
-    xy = np.random.default_rng(0).uniform(-0.6, 0.6, (2, 200))
-    for distortion in (MILD.distortion, (-0.2, 0.05, 0.0, 0.0, 0.0), (0.0, 0.0, 0.001, -0.002, 0.0), (0.0,) * 5):
-        k1, k2, p1, p2, k3 = distortion
-        camera = Camera(640, 480, 700.0, 710.0, 322.0, 236.0, (k1, k2, p1, p2, k3))
-        np.testing.assert_allclose(camera.displacement(xy), (camera.distort(xy.T) - xy.T).T, rtol=0.0, atol=1e-15)
+@given(st.lists(st.tuples(st.floats(0.0, 79.9), st.floats(-180.0, 180.0)), min_size=1, max_size=20))
+def test_a_fisheye_s_projection_and_rays_are_opencvs(polar_deg: list[tuple[float, float]]) -> None:
+    off, about = np.radians(polar_deg).T
+    points = np.stack([np.sin(off) * np.cos(about), np.sin(off) * np.sin(about), np.cos(off)], axis=1)
+    K, D = np.array([[330.0, 0.0, 322.0], [0.0, 333.0, 236.0], [0.0, 0.0, 1.0]]), np.array(FISHEYE.distortion)
+    expected, _ = cv2.fisheye.projectPoints(points[:, None], np.zeros(3), np.zeros(3), K, D)
+    uv, inside = FISHEYE.project(points)
+    np.testing.assert_allclose(uv, expected[:, 0], atol=1e-6)
+    if np.any(inside):
+        # OpenCV stops within a hundred millionth of an angle, which the tangent makes 33 times as much at 80 degrees.
+        undistorted = cv2.fisheye.undistortPoints(uv[inside][:, None], K, D)[:, 0]
+        rays, valid = FISHEYE.unproject(uv[inside])
+        assert valid.all()
+        np.testing.assert_allclose(rays[:, :2], undistorted, atol=1e-5)
+
+
+def test_a_fisheye_s_rays_end_at_eighty_degrees_and_where_its_polynomial_folds() -> None:
+    """Also of a lens that shows 220 degrees: what is beyond is not refused with the file, and has no ray."""
+    wide = replace(FISHEYE, fx_px=170.0, fy_px=170.0, distortion=(0.0, 0.0, 0.0, 0.0))
+    for angle_deg, is_valid in ((0.0, True), (79.9, True), (80.1, False), (100.0, False)):
+        ray, valid = wide.unproject((wide.cx_px + 170.0 * np.radians(angle_deg), wide.cy_px))
+        assert valid == is_valid and np.isfinite(ray).all()
+    assert not wide.project((1.0, 0.0, 0.17))[1] and wide.project((1.0, 0.0, 0.18))[1]
+    Camera.from_text(wide.to_json(), "wide")
+    folding = replace(FISHEYE, distortion=(-0.3, 0.0, 0.0, 0.0))
+    assert np.hypot(*folding.unproject((0.0, 0.0))[0][:2]) <= np.tan(np.sqrt(0.7 / 0.9)) and folding.max_radius < 1.3
+    assert not folding.unproject((0.0, 0.0))[1] and folding.unproject((320.0, 240.0))[1]
 
 
 @given(us, vs)
@@ -54,11 +77,24 @@ def test_the_corner_of_a_folding_calibration_is_invalid_and_its_middle_valid() -
     assert FOLDING.unproject((320.0, 240.0))[1]
 
 
-@given(st.floats(-0.4, 0.4), st.floats(-0.4, 0.4))
-def test_the_gain_of_areas_is_the_determinant_of_the_distortion_s_derivative(x: float, y: float) -> None:
-    steps = 1e-6 * np.eye(2)
-    J = [(MILD.distort(np.array([x, y]) + step) - MILD.distort(np.array([x, y]) - step)) / 2e-6 for step in steps]
-    np.testing.assert_allclose(MILD.area_gain(np.array([[x, y]])), np.linalg.det(J), atol=1e-7)
+@pytest.mark.parametrize(("camera", "reach"), [(MILD, 0.4), (FISHEYE, 3.5)])
+@given(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0))
+@example(0.0, 0.0)
+@example(1e-8, -1e-7)
+def test_derivatives_are_the_distortion_s(camera: Camera, reach: float, x: float, y: float) -> None:
+    xy, steps = reach * np.array([x, y]), 1e-6 * np.eye(2)
+    J = np.stack([(camera.distort(xy + step) - camera.distort(xy - step)) / 2e-6 for step in steps], axis=1)
+    there, along, cross = camera.lens.linearised(xy[:, None])
+    np.testing.assert_allclose(there[:, 0], camera.distort(xy), atol=1e-15)
+    np.testing.assert_allclose([[along[0, 0], cross[0]], [cross[0], along[1, 0]]], J, atol=1e-8)
+    np.testing.assert_allclose(camera.area_gain(xy[None]), np.linalg.det(J), atol=1e-7)
+    for number, by in enumerate(camera.lens.by_coefficients(xy[:, None])):
+        more, less = (replace(camera, distortion=_moved(camera, number, step)) for step in (1e-6, -1e-6))
+        np.testing.assert_allclose(by[:, 0], (more.distort(xy) - less.distort(xy)) / 2e-6, atol=1e-8)
+
+
+def _moved(camera: Camera, number: int, step: float) -> tuple[float, ...]:
+    return tuple(k + step * (i == number) for i, k in enumerate(camera.distortion))
 
 
 @pytest.mark.filterwarnings("ignore:invalid value")  # of the infinite one
@@ -75,8 +111,9 @@ def test_points_behind_the_camera_are_invalid() -> None:
 
 def test_a_camera_file_survives(tmp_path: Path) -> None:
     path = tmp_path / "camera.json"
-    path.write_text(MILD.to_json())
-    assert Camera.from_json(path) == MILD
+    for camera in (MILD, FISHEYE):
+        path.write_text(camera.to_json())
+        assert Camera.from_json(path) == camera
 
 
 @pytest.mark.parametrize(
@@ -85,7 +122,13 @@ def test_a_camera_file_survives(tmp_path: Path) -> None:
         ({"fx_px": None}, "camera.json"),
         ({"size_px": [640]}, "camera.json"),
         ({"distortion_opencv_k1_k2_p1_p2_k3": [0.0] * 4}, "a list of 5 numbers"),
-        ({"model": "fisheye"}, "'fisheye'"),
+        ({"model": "omni"}, "'omni' is not known; use 'pinhole' or 'fisheye'"),
+        ({"model": ["fisheye"]}, "is not known; use 'pinhole' or 'fisheye'"),
+        (
+            {"model": "fisheye"},
+            "distortion_opencv_k1_k2_p1_p2_k3 is of the model 'pinhole', and this camera's is 'fish",
+        ),
+        ({"distortion_fisheye_k1_k2_k3_k4": [0.0] * 4}, "k1_k2_k3_k4 is of the model 'fisheye', and this camera's is"),
         ({"fy_px": -1.0}, "fy_px is -1.0: must be a number from 64 to"),
         ({"cx_px": float("nan")}, "cx_px is NaN"),
         ({"cx_px": 3195.0}, "cx_px is 3195.0: must be a number from -0.5 to 639.5"),

@@ -213,8 +213,8 @@ def test_the_same_bytes_appended_by_this_version_are_corrupt() -> None:
 
 
 def test_a_newer_major_version_and_an_unknown_status_are_refused_as_newer() -> None:
-    newer = PAYLOAD[:2] + b"\x50" + PAYLOAD[3:]
-    with pytest.raises(NewerPayload, match=r"5\.0"):
+    newer = PAYLOAD[:2] + b"\x60" + PAYLOAD[3:]
+    with pytest.raises(NewerPayload, match=r"6\.0, this program reads 4\.x and 5\.x: update it"):
         decode(newer)
     with pytest.raises(CorruptPayload, match=r"3\.0"):
         decode(PAYLOAD[:2] + b"\x30" + PAYLOAD[3:])
@@ -293,5 +293,5 @@ def test_more_features_than_a_byte_counts_are_refused() -> None:
 
 
 def test_the_version_on_the_wire_is_the_documented_one() -> None:
-    assert (codec.MAJOR, codec.MINOR) == (4, 1)
+    assert (codec.MAJORS, codec.MINOR) == ({"pinhole": 4, "fisheye": 5}, 1)
     assert PAYLOAD[:3] == b"PC\x40"  # without a clicked pixel it is what 4.0 reads

@@ -1,4 +1,4 @@
-"""The wire format of versions 4.0 and 4.1, frozen: golden bytes next to what they mean."""
+"""The wire format of versions 4.0, 4.1 and 5.0, frozen: golden bytes next to what they mean."""
 
 import dataclasses
 import json
@@ -35,7 +35,8 @@ def assert_close(got: Any, want: Any, where: str) -> None:
 def test_there_are_golden_payloads_of_every_kind() -> None:
     clicked = ["measured_pixel", "unmeasured_pixel"]
     plain = ["a_hundred_features", "plane_only", "refused", "rolling_shutter", "twelve_features"]
-    assert sorted(NAMES) == sorted([*plain, *clicked])
+    assert sorted(NAMES) == sorted([*plain, *clicked, "fisheye"])
+    assert (GOLDEN / "fisheye.bin").read_bytes()[2] == 0x50
     assert {(GOLDEN / f"{name}.bin").read_bytes()[2] for name in plain} == {0x40}
     assert {(GOLDEN / f"{name}.bin").read_bytes()[2] for name in clicked} == {0x41}
 

@@ -32,6 +32,8 @@ def projection_cases(path: Path) -> None:
     for k in range(200):
         k1, k2 = rng.uniform(-0.15, 0.02), rng.uniform(-0.02, 0.02)
         camera = Camera(640, 480, 700.0, 690.0, 322.0, 239.0, (k1, k2, 0.001, -0.002, 0.0))
+        if k % 4 > 1:
+            camera = Camera(640, 480, 250.0, 248.0, 322.0, 239.0, (k1, k2, 0.004, -0.001), "fisheye")
         lat, lon, height_m = rng.uniform([-80.0, -180.0, 0.0], [80.0, 180.0, 900.0]).tolist()
         R = np.diag([1.0, -1.0, -1.0]) @ exp_so3(rng.normal(0.0, 0.15, 3))
         at_once = FeatureSet(

@@ -11,11 +11,14 @@ from typing import Any
 
 import numpy as np
 
+from contract.camera import Camera
 from contract.feature_set import ClickedPixel, DepthSource, FeatureSet, HeightDatum, Measured, Status
+from contract.lens import FISHEYE
 from contract.rolling_shutter import RollingShutter
 from contract.wire.codec import decode, encode
-from tests.contract.sets import DISTORTION, plain_set
+from tests.contract.sets import DISTORTION, FISHEYE_DISTORTION, plain_set
 
+FISHEYE_CAMERA = Camera(640, 480, 330.0, 333.0, 322.0, 236.0, FISHEYE_DISTORTION, FISHEYE)
 HERE = Path(__file__).parent
 
 
@@ -39,6 +42,7 @@ def cases() -> dict[str, FeatureSet]:
             plain_set(12, seed=5),
             shutter=RollingShutter(-0.021, np.array([0.12, -0.31, 0.05]), np.array([3.5, -19.2, 1.1]), 0.0035),
         ),
+        "fisheye": plain_set(12, seed=7, camera=FISHEYE_CAMERA),
         "measured_pixel": dataclasses.replace(
             plain_set(12, seed=6), clicked=ClickedPixel(300.5, 211.25, Measured.MEASURED, 0.0041, 1.3e-6)
         ),
