@@ -2,7 +2,8 @@
 
 OpenCV's calib3d: coefficients in the order k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [tau_x tau_y]]]], pixel (0, 0) the
 middle of the top-left one. ROS's sensor_msgs/distortion_models names `plumb_bob`, `rational_polynomial` (image_geometry
-hands both to OpenCV as they are) and the fisheyes `equidistant` and `fisheye`. A projection_matrix is of the rectified
+hands both to OpenCV as they are) and the fisheyes `equidistant` and `fisheye`, OpenCV's with its k1 to k4, which a
+FileStorage has with `fisheye_model` 1. A projection_matrix is of the rectified
 picture.
 """
 
@@ -12,11 +13,11 @@ import xml.etree.ElementTree as ET
 from typing import Any
 
 from contract.errors import InputError
+from contract.lens import FISHEYE, PINHOLE
 from onboard.camera_files.stated_lens import (
     Further,
     Size,
     StatedLens,
-    fisheye,
     focal,
     list_of,
     mapping,
@@ -28,7 +29,7 @@ from onboard.camera_files.stated_lens import (
     word,
 )
 
-COUNTS = (4, 5, 8, 12, 14)
+COUNTS, FISHEYE_COUNTS = (4, 5, 8, 12, 14), (4,)
 MATRICES = ("camera_matrix", "Camera_Matrix", "cameraMatrix", "CameraMatrix", "intrinsic_matrix", "K", "k", "mtx")
 COEFFICIENTS = (
     *("distortion_coefficients", "Distortion_Coefficients", "distortionCoefficients", "dist_coeffs", "dist_coeff"),
@@ -56,10 +57,9 @@ def read_ros(content: Any, which: str | None, size_px: Size | None) -> StatedLen
     raw = mapping(content, "camera_info")
     _only(which, raw)
     model = word(raw["distortion_model"], "distortion_model")
-    if model.lower() in ROS_FISHEYES:
-        raise fisheye(model)
-    if model not in ROS_MODELS:
-        raise unknown_model(model, ROS_MODELS)
+    is_fisheye = model.lower() in ROS_FISHEYES
+    if model not in ROS_MODELS and not is_fisheye:
+        raise unknown_model(model, ROS_MODELS + ROS_FISHEYES)
     for key in ("binning_x", "binning_y"):
         if real(raw.get(key, 0), key, 64.0, 0.0) > 1.0:
             raise InputError(
@@ -69,23 +69,23 @@ def read_ros(content: Any, which: str | None, size_px: Size | None) -> StatedLen
     if any(real(roi.get(key, 0), f"roi's {key}") != 0.0 for key in ("x_offset", "y_offset")):
         raise InputError("roi cuts the picture, whose pixels are not those of the matrix; give the calibration itself")
     coefficients = _first(raw, COEFFICIENTS) or COEFFICIENTS[0]
-    return _lens(raw, needed(raw, coefficients), coefficients, (0, *COUNTS), size_px)
+    counts = FISHEYE_COUNTS if is_fisheye else (0, *COUNTS)
+    return _lens(raw, needed(raw, coefficients), coefficients, counts, size_px)
 
 
 def read_opencv(content: Any, which: str | None, size_px: Size | None) -> StatedLens:
     """Read OpenCV's FileStorage. Raises InputError, also for four coefficients that may be a fisheye's."""
     raw = _of_xml(content) if isinstance(content, ET.Element) else mapping(content, "FileStorage")
     _only(which, raw)
-    if real(raw.get("fisheye_model", 0), "fisheye_model", 1.0, 0.0) != 0.0:
-        raise fisheye("fisheye_model")
+    is_fisheye = real(raw.get("fisheye_model", 0), "fisheye_model", 1.0, 0.0) != 0.0
     coefficients = _first(raw, COEFFICIENTS) or COEFFICIENTS[0]
     stated = needed(raw, coefficients)
     if len(_flat(stated, coefficients)) == 4 and "fisheye_model" not in raw:
         raise InputError(
-            f"{coefficients} has 4 coefficients: k1 k2 p1 p2, or a fisheye's k1 to k4, which it does not state; if "
-            "they are the former add a line fisheye_model: 0 (in XML <fisheye_model>0</fisheye_model>)"
+            f"{coefficients} has 4 coefficients: k1 k2 p1 p2, or a fisheye's k1 to k4, which it does not state; add "
+            "a line fisheye_model: 0 for the former, 1 for the latter (in XML <fisheye_model>0</fisheye_model>)"
         )
-    return _lens(raw, stated, coefficients, COUNTS, size_px)
+    return _lens(raw, stated, coefficients, FISHEYE_COUNTS if is_fisheye else COUNTS, size_px)
 
 
 def _only(which: str | None, raw: dict[str, Any]) -> None:
@@ -102,17 +102,19 @@ def _lens(raw: dict[str, Any], stated: object, name: str, counts: tuple[int, ...
     k = list_of(_flat(needed(raw, key), key), key, (9,))
     if [k[3], k[6], k[7], k[8]] != [0.0, 0.0, 0.0, 1.0]:
         raise InputError(f"{key} is not [fx s cx; 0 fy cy; 0 0 1]")
-    five, further = opencv_terms(list_of(_flat(stated, name), name, counts), name)
+    values, is_fisheye = list_of(_flat(stated, name), name, counts), counts is FISHEYE_COUNTS
+    terms, further = (tuple(values), Further()) if is_fisheye else opencv_terms(values, name)
     sizes = next((pair for pair in SIZES if pair[0] in raw and pair[1] in raw), None)
     size = None if sizes is None else whole_size(raw[sizes[0]], raw[sizes[1]], sizes[0])
     used = [key, name, *(sizes or ()), *(each for each in ("distortion_model", "fisheye_model") if each in raw)]
     return StatedLens(
         size_of(size, asked),
         *(focal(k[0], f"{key}'s fx"), focal(k[4], f"{key}'s fy"), k[2], k[5]),
-        five,
+        terms,
         Further(further.eighth, further.below, further.prism, further.growth, k[1]),
         took=tuple(used),
         left=tuple(each for each in raw if each not in used),
+        model=FISHEYE if is_fisheye else PINHOLE,
     )
 
 

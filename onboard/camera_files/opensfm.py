@@ -2,7 +2,8 @@
 
 OpenSfM's "Geometric models": lengths count in the picture's longer side; the origin is the picture's middle, which is
 pixel ((w - 1) / 2, (h - 1) / 2) with pixel (0, 0) the middle of the top-left one. So a size of the same shape serves as
-well, and OpenDroneMap writes that of its reduced pictures. `brown` is OpenCV's with k3.
+well, and OpenDroneMap writes that of its reduced pictures. `brown` is OpenCV's with k3;
+`fisheye` and `fisheye_opencv` are OpenCV's fisheye with k1 and k2, and with all four.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 from typing import Any
 
 from contract.errors import InputError
+from contract.lens import FISHEYE, PINHOLE
 from onboard.camera_files.stated_lens import (
     Size,
     StatedLens,
@@ -31,7 +33,8 @@ MODELS = {
     "radial": ("k1", "k2"),
     "brown": ("k1", "k2", "p1", "p2", "k3"),
 }
-FISHEYES = ("fisheye", "fisheye62", "fisheye624", "fisheye_opencv", "dual")
+FISHEYES = {"fisheye": ("k1", "k2"), "fisheye_opencv": ("k1", "k2", "k3", "k4")}
+WIDE = ("fisheye62", "fisheye624", "dual")  # with terms, or a mixture, of their own
 SAME_SHAPE = 0.005  # of pictures made smaller, whose sizes are rounded
 
 
@@ -55,24 +58,30 @@ def read_opensfm(content: Any, which: str | None, size_px: Size | None) -> State
     name, found = chosen(_cameras(content), which)
     raw = mapping(found, name)
     model = word(raw["projection_type"], "projection_type")
-    if model in FISHEYES:
+    if model in WIDE:
         raise fisheye(model)
-    if model not in MODELS:
-        raise unknown_model(model, MODELS)
-    fx, fy = ("focal", "focal") if "focal_x" not in raw and model == "perspective" else ("focal_x", "focal_y")
+    known = MODELS | FISHEYES
+    if model not in known:
+        raise unknown_model(model, known)
+    has_one = "focal_x" not in raw and model in ("perspective", "fisheye")
+    fx, fy = ("focal", "focal") if has_one else ("focal_x", "focal_y")
     size = _size(raw, size_px)
     longer = max(size)
-    k1, k2, p1, p2, k3 = (real(raw.get(k, 0.0) if k in MODELS[model] else 0.0, k) for k in MODELS["brown"])
-    used = ("projection_type", "width", "height", fx, fy, "c_x", "c_y", *MODELS[model])
+    if model in FISHEYES and any(real(raw.get(k, 0.0), k) for k in ("p1", "p2")):
+        raise InputError("a fisheye with p1 and p2 is not read")
+    orders = FISHEYES["fisheye_opencv"] if model in FISHEYES else MODELS["brown"]
+    terms = tuple(real(raw.get(k, 0.0) if k in known[model] else 0.0, k) for k in orders)
+    used = ("projection_type", "width", "height", fx, fy, "c_x", "c_y", *known[model])
     return StatedLens(
         size,
         longer * focal(needed(raw, fx), fx),
         longer * focal(needed(raw, fy), fy),
         longer * real(raw.get("c_x", 0.0), "c_x", 1.0) + 0.5 * (size[0] - 1),
         longer * real(raw.get("c_y", 0.0), "c_y", 1.0) + 0.5 * (size[1] - 1),
-        (k1, k2, p1, p2, k3),
+        terms,
         took=tuple(dict.fromkeys(each for each in used if each in raw)),
         left=tuple(each for each in raw if each not in used),
+        model=FISHEYE if model in FISHEYES else PINHOLE,
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.camera import (
-    DISTORTION,
+    COEFFICIENTS,
     PIXEL_ASPECT,
     UNKNOWN_SIGMA,
     Camera,
@@ -17,7 +17,7 @@ from contract.camera import (
     is_nearly_square,
 )
 from contract.errors import InputError
-from contract.lens import MAX_RADIUS, MIN_RADIAL_SLOPE
+from contract.lens import FISHEYE, MAX_RADIUS, MIN_RADIAL_SLOPE
 from onboard.camera_files.stated_lens import Array, Further, StatedLens
 
 GRID = (33, 25)
@@ -37,6 +37,8 @@ def reduced(stated: StatedLens) -> tuple[Camera, float]:
             f'its numbers into a camera.json that declares it ("{PIXEL_ASPECT}")'
         )
     _check_centre(stated)
+    if stated.model == FISHEYE and stated.further.names():
+        raise InputError(f"a fisheye with {' and '.join(stated.further.names())} is not read")
     if not stated.further.names():
         return _camera(stated, stated.sigma), 0.0
     from onboard.calibration.verdict import RAY_SIGMA_SHARE  # noqa: PLC0415  draws with OpenCV
@@ -82,7 +84,8 @@ def _camera(lens: StatedLens, sigma: Sigma | None) -> Camera:
     raw = {
         "size_px": list(lens.size_px),
         **{"fx_px": lens.fx_px, "fy_px": lens.fy_px, "cx_px": lens.cx_px, "cy_px": lens.cy_px},
-        DISTORTION: list(lens.distortion),
+        "model": lens.model,
+        COEFFICIENTS[lens.model]: list(lens.distortion),
     }
     camera = Camera.from_text(json.dumps(raw), "as a camera file")
     return replace(camera, stated_sigma=UNKNOWN_SIGMA if sigma is None else sigma)

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from contract.camera import MAX_COEFFICIENT, MAX_SIZE_PX, Sigma
 from contract.errors import InputError
+from contract.lens import PINHOLE
 from contract.near_word import near_word
 from contract.stated_values import number, whole
 
 Array = NDArray[np.float64]
-Five = tuple[float, float, float, float, float]
 Size = tuple[int, int]
 Thing = TypeVar("Thing")
 MAX_PX = 1e7
@@ -62,14 +62,15 @@ class StatedLens:
     fy_px: float
     cx_px: float
     cy_px: float
-    distortion: Five = (0.0, 0.0, 0.0, 0.0, 0.0)
+    distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
     further: Further = field(default_factory=Further)
     sigma: Sigma | None = None
     took: tuple[str, ...] = ()
     left: tuple[str, ...] = ()
+    model: str = PINHOLE  # of a fisheye `distortion` is k1 to k4, and there are no further terms
 
     def project(self, xy: Array) -> Array:
-        """Undistorted normalised coordinates (N, 2) -> pixels (N, 2).
+        """Undistorted normalised coordinates (N, 2) -> pixels (N, 2), of a pinhole.
 
         OpenCV's calib3d documents polynomial, denominator and prism; Metashape's manual, appendix "Camera models", K4,
         P3, P4 and the skew, which acts on distorted coordinates as OpenCV's matrix does.
@@ -163,11 +164,11 @@ def chosen(cameras: Mapping[str, Thing], which: str | None) -> tuple[str, Thing]
 
 
 def fisheye(model: str) -> InputError:
-    """Return the refusal of a fisheye's model."""
+    """Return the refusal of a wide lens's model that is not the fisheye of ours."""
     return InputError(
-        f"{model[:40]!r} is a fisheye's model, by the angle and not its tangent: a camera file has a pinhole with k1 "
-        "k2 p1 p2 k3 only, which a fisheye does not fit; calibrate the lens with pc-onboard calibrate, whose verdict "
-        "shows whether those serve, or fly with pictures that are undistorted to a pinhole's, and their camera"
+        f"{model[:40]!r} is a fisheye's model that is not read: ours has k1 to k4 of the angle off the axis (OpenCV's "
+        "fisheye, Kalibr's equidistant, COLMAP's OPENCV_FISHEYE); export it as one of these, or fly with pictures "
+        "that are undistorted to a pinhole's, and their camera"
     )
 
 

@@ -19,14 +19,17 @@ from onboard.config.files import load_camera
 from onboard.config.schema import parse_config
 from tests.onboard.camera_files.writers import (
     COLMAP,
+    COLMAP_FISHEYE,
     CX,
     FILES,
+    FISHEYES,
     K1,
     K3,
     KALIBR,
     METASHAPE,
     ODM,
     OPENCV,
+    OPENCV_FISHEYE,
     P4D,
     PIX4D,
     ROS,
@@ -37,6 +40,7 @@ from tests.onboard.camera_files.writers import (
 
 ROOT = Path(__file__).parents[3]
 XY = np.stack(np.meshgrid(np.linspace(-0.6, 0.6, 9), np.linspace(-0.45, 0.45, 7)), axis=-1).reshape(-1, 2)
+WIDE_XY = 3.0 * XY  # 66 degrees off the axis
 EACH = pytest.mark.parametrize("written", FILES, ids=lambda w: w.name)
 
 
@@ -46,8 +50,8 @@ def put(folder: Path, name: str, text: str) -> Path:
     return path
 
 
-def pixels_off(camera: Camera, u: np.ndarray, v: np.ndarray) -> float:
-    uv = camera.project(np.column_stack([XY, np.ones(len(XY))]))[0]
+def pixels_off(camera: Camera, xy: np.ndarray, u: np.ndarray, v: np.ndarray) -> float:
+    uv = camera.project(np.column_stack([xy, np.ones(len(xy))]))[0]
     return float(np.abs(uv - np.column_stack([u, v])).max())
 
 
@@ -55,8 +59,10 @@ def pixels_off(camera: Camera, u: np.ndarray, v: np.ndarray) -> float:
 def test_a_pixel_is_where_the_tool_s_own_equations_put_it(written: Written, tmp_path: Path) -> None:
     read = read_camera_file(put(tmp_path, written.name, written.text), written.size)
     assert read.form is not None and read.form.key == written.key and read.camera.size_px == (W, H)
-    u, v = written.project(*XY.T)
-    assert pixels_off(read.camera, u - written.corner, v - written.corner) < 1e-3
+    assert read.camera.model == ("fisheye" if written in FISHEYES else "pinhole")
+    xy = WIDE_XY if written in FISHEYES else XY
+    u, v = written.project(*xy.T)
+    assert pixels_off(read.camera, xy, u - written.corner, v - written.corner) < 1e-3
     assert read.took and read.off_px == 0.0
     assert read.has_sigmas == ("covariance" in written.text)
     if not read.has_sigmas:
@@ -107,7 +113,7 @@ PROJECT = next(each for each in FILES if each.name == "cameras.xml").text
 SENSOR = PROJECT[PROJECT.index("<sensor ") : PROJECT.index("</sensors>")]
 TWO_SENSORS = PROJECT.replace("</sensors>", SENSOR.replace('id="0"', 'id="1"') + "</sensors>")
 REFUSED = {
-    "ros fisheye": (ROS.replace("plumb_bob", "equidistant"), "'equidistant' is a fisheye's model"),
+    "ros fisheye": (ROS.replace("plumb_bob", "equidistant"), "5 values: must be a list of 4 numbers"),
     "ros unknown": (ROS.replace("plumb_bob", "plumb_bobb"), "did you mean 'plumb_bob'"),
     "ros key": (ROS.replace("camera_matrix", "camera_matrx"), "'camera_matrix' is missing; is 'camera_matrx' meant"),
     "ros count": (ROS.replace(f", {K3}]", "]").replace(f"[{K1}, ", "["), "3 values: must be a list of 0 or 4"),
@@ -116,12 +122,17 @@ REFUSED = {
     "yaml alias": ("a: &a [1]\nb: &b [*a, *a]\nsize_px: *b\n", r"not YAML \(an alias, .* in line 2\)"),
     "ros from the middle": (ROS.replace(f"{CX}", "10.25"), "principal point is 10.25 px in x, 50 % of the picture off"),
     "ros size": (ROS.replace("image_width", "width_"), "states no picture size.*--size"),
-    "opencv fisheye": (OPENCV + "fisheye_model: 1\n", "fisheye's model"),
+    "opencv fisheye": (OPENCV + "fisheye_model: 1\n", "5 values: must be a list of 4 numbers"),
+    "opencv fisheye skew": (
+        OPENCV_FISHEYE.replace("1500.0, 0.,", "1500.0, 3.,"),
+        "a fisheye with the skew is not read",
+    ),
     "opencv four": (OPENCV.replace(",\n       -0.008", ""), "4 coefficients: k1 k2 p1 p2, or a fisheye's"),
-    "kalibr fisheye": (KALIBR.replace("radtan", "equidistant"), "'equidistant' is a fisheye's model"),
+    "kalibr fov": (KALIBR.replace("radtan", "fov"), "'fov' is a fisheye's model that is not read"),
     "kalibr omni": (KALIBR.replace("pinhole", "omni"), "'omni' is a fisheye's model"),
     "kalibr two": (KALIBR + KALIBR.replace("cam0", "cam1"), "holds 2 cameras, 'cam0', 'cam1': choose"),
-    "colmap fisheye": (f"1 OPENCV_FISHEYE {W} {H} 3100 3100 2000 1500 0 0 0 0\n", "fisheye's model"),
+    "colmap fisheye": (f"1 FOV {W} {H} 3100 3100 2000 1500 0.9\n", "fisheye's model that is not read"),
+    "colmap fisheye count": (COLMAP_FISHEYE.replace(" 0.0011", ""), "OPENCV_FISHEYE has 9 values and not 10"),
     "colmap unknown": (COLMAP.replace("FULL_OPENCV", "FULL_CV"), "model 'FULL_CV' is not read"),
     "colmap count": (COLMAP.replace(" 0 0 0\n", "\n"), "FULL_OPENCV has 11 values and not 14"),
     "metashape fisheye": (METASHAPE.replace(">frame<", ">fisheye<"), "fisheye's model"),
@@ -134,7 +145,8 @@ REFUSED = {
     "metashape doctype": ('<!DOCTYPE a [<!ENTITY b "c">]>' + METASHAPE.split("?>")[1], "document type"),
     "pix4d size": (PIX4D, "states no picture size"),
     "pix4d fisheye": (P4D.replace("perspective", "fisheye"), "fisheye's model"),
-    "opensfm fisheye": (ODM.replace('"brown"', '"fisheye_opencv"'), "fisheye's model"),
+    "opensfm fisheye": (ODM.replace('"brown"', '"fisheye_opencv"'), "a fisheye with p1 and p2 is not read"),
+    "opensfm fisheye62": (ODM.replace('"brown"', '"fisheye62"'), "'fisheye62' is a fisheye's model that is not read"),
     "huge": (ROS.replace("3100.0", "1e999"), "must be a number"),
     "huge json": (ODM.replace("0.775,", "1e999,"), "focal_x is Infinity: must be a number"),
     "zeros": (ROS.replace("3100.0", "0.0"), "fx is 0.0: must be a number"),

@@ -16,6 +16,8 @@ Array = NDArray[np.float64]
 W, H = 4000, 3000
 F, FY = 3100.0, 3110.0
 CX, CY = 2010.25, 1480.5
+FF, FFY = 1500.0, 1504.0
+FK1, FK2, FK3, FK4 = -0.031, 0.012, -0.006, 0.0011
 K1, K2, K3, P1, P2 = -0.09, 0.03, -0.008, 0.0011, -0.0007
 
 
@@ -56,6 +58,28 @@ def opensfm(x: Array, y: Array) -> tuple[Array, Array]:
     """Shares of the longer side, from the middle, to pixels by the document's matrix H."""
     a, b = brown(x, y)
     return (0.775 * a + 0.0025) * W + (W - 1) / 2, (0.7775 * b - 0.005) * W + (H - 1) / 2
+
+
+def fisheye(x: Array, y: Array) -> tuple[Array, Array]:
+    """OpenCV's document: the polynomial of the angle."""
+    r = np.maximum(np.hypot(x, y), 1e-12)
+    a = np.arctan(r)
+    d = a * (1 + FK1 * a**2 + FK2 * a**4 + FK3 * a**6 + FK4 * a**8) / r
+    return FF * x * d + CX, FFY * y * d + CY
+
+
+def fisheye_opensfm(x: Array, y: Array) -> tuple[Array, Array]:
+    """The same, shares of the longer side."""
+    a, b = fisheye(x, y)
+    return a - CX + 0.0025 * W + (W - 1) / 2, b - CY - 0.005 * W + (H - 1) / 2
+
+
+def fisheye_two(x: Array, y: Array) -> tuple[Array, Array]:
+    """OpenSfM's `fisheye`: one focal length, two coefficients, about the middle."""
+    r = np.maximum(np.hypot(x, y), 1e-12)
+    a = np.arctan(r)
+    d = a * (1 + FK1 * a**2 + FK2 * a**4) / r
+    return FF * x * d + (W - 1) / 2, FF * y * d + (H - 1) / 2
 
 
 @dataclass(frozen=True)
@@ -176,7 +200,37 @@ COLMAP = f"""# Camera list with one line of data per camera:
 # Number of cameras: 1
 1 FULL_OPENCV {W} {H} {F} {FY} {CX} {CY} {K1} {K2} {P1} {P2} {K3} 0 0 0
 """
+PINHOLE_D, FISHEYE_D = f"[{K1}, {K2}, {P1}, {P2}, {K3}]", f"[{FK1}, {FK2}, {FK3}, {FK4}]"
+ROS_FISHEYE = (
+    ROS.replace(f"{F}", f"{FF}").replace(f"{FY}", f"{FFY}").replace("plumb_bob", "equidistant")
+    .replace("cols: 5", "cols: 4").replace(PINHOLE_D, FISHEYE_D)
+)  # fmt: skip
+OPENCV_FISHEYE = (
+    OPENCV.replace(f"{F}", f"{FF}").replace(f"{FY}", f"{FFY}").replace("rows: 5", "rows: 4")
+    .replace(f"{K1}, {K2}, {P1}, {P2},\n       {K3} ", f"{FK1}, {FK2}, {FK3}, {FK4} ") + "fisheye_model: 1\n"
+)  # fmt: skip
+KALIBR_FISHEYE = (
+    KALIBR.replace(f"{F}", f"{FF}").replace(f"{FY}", f"{FFY}").replace("radtan", "equidistant")
+    .replace(f"[{K1}, {K2}, {P1}, {P2}]", FISHEYE_D)
+)  # fmt: skip
+ODM_FISHEYE = f"""{{"v2 gopro hero9 4000 3000 fisheye_opencv 0.375": {{"projection_type": "fisheye_opencv",
+"width": {W // 4}, "height": {H // 4}, "focal_x": {FF / W}, "focal_y": {FFY / W}, "c_x": 0.0025, "c_y": -0.005,
+"k1": {FK1}, "k2": {FK2}, "k3": {FK3}, "k4": {FK4}}}}}
+"""
+OPENSFM_FISHEYE = f"""{{"v2 gopro": {{"projection_type": "fisheye", "width": {W}, "height": {H}, "focal": {FF / W},
+"k1": {FK1}, "k2": {FK2}}}}}
+"""
+COLMAP_FISHEYE = f"1 OPENCV_FISHEYE {W} {H} {FF} {FFY} {CX} {CY} {FK1} {FK2} {FK3} {FK4}\n"
+FISHEYES = (
+    Written("ros", "fisheye.yaml", ROS_FISHEYE, fisheye),
+    Written("opencv", "fisheye.yml", OPENCV_FISHEYE, fisheye),
+    Written("kalibr", "fisheye-camchain.yaml", KALIBR_FISHEYE, fisheye),
+    Written("opensfm", "fisheye-cameras.json", ODM_FISHEYE, fisheye_opensfm, 0.0, (W, H)),
+    Written("opensfm", "fisheye_models.json", OPENSFM_FISHEYE, fisheye_two),
+    Written("colmap", "fisheye.txt", COLMAP_FISHEYE, fisheye, 0.5),
+)
 FILES = (
+    *FISHEYES,
     Written("ros", "camera.yaml", ROS, opencv),
     Written("opencv", "out_camera_data.yml", OPENCV, opencv),
     Written("opencv", "out_camera_data.xml", OPENCV_XML, opencv),
