@@ -22,7 +22,7 @@ from contract.track import TrackReport, TrackState
 
 UNKNOWN, AT_INFINITY = 2**31 - 1, -(2**31)
 SIGMAS_1D = 1.645  # 90 % of a normal distribution are within
-NAN = math.nan
+NAN, MOST_REAL = math.nan, 3e38
 MAX_URI = 159  # characters and the zero that ends them
 VENDOR = b"pointclick"
 IDLE, ACTIVE = mavlink.CAMERA_TRACKING_STATUS_FLAGS_IDLE, mavlink.CAMERA_TRACKING_STATUS_FLAGS_ACTIVE
@@ -177,9 +177,10 @@ def _geo_status(status: int, place: Place, velocity: tuple[float, float, float],
     height_m = NAN if place.height_amsl_m is None else place.height_amsl_m
     v_acc_m = NAN if place.height_amsl_m is None else SIGMAS_1D * place.sigma_height_m
     north_m_s, east_m_s, vel_acc_m_s = velocity
+    height_m, v_acc_m, h_acc_m, distance_m = map(_real, (height_m, v_acc_m, place.ellipse.semi_major_m, distance_m))
     return mavlink.MAVLink_camera_tracking_geo_status_message(
-        status, _degrees(place.lat_deg), _degrees(place.lon_deg), height_m, place.ellipse.semi_major_m, v_acc_m,
-        north_m_s, east_m_s, NAN, vel_acc_m_s, distance_m, NAN, NAN,
+        status, _degrees(place.lat_deg), _degrees(place.lon_deg), height_m, h_acc_m, v_acc_m, _real(north_m_s),
+        _real(east_m_s), NAN, _real(vel_acc_m_s), distance_m, NAN, NAN,
     )  # fmt: skip
 
 
@@ -193,8 +194,18 @@ def words_of(answer: Answer) -> str:
 
 
 def _degrees(degrees: float) -> int:
-    return round(degrees * 1e7)
+    return _whole(degrees * 1e7)
 
 
 def _millimetres(metres: float | None) -> int:
-    return UNKNOWN if metres is None else round(metres * 1e3)
+    return UNKNOWN if metres is None else _whole(metres * 1e3)
+
+
+def _whole(value: float) -> int:
+    """A number as it is sent; unknown where it has no place in 32 bits, which must not end the flight."""
+    return round(value) if abs(value) < UNKNOWN else UNKNOWN
+
+
+def _real(value: float) -> float:
+    """A number as it is sent, nan where it is beyond what is sent."""
+    return value if abs(value) < MOST_REAL else NAN

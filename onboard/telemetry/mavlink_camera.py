@@ -104,7 +104,7 @@ class MavlinkCamera:
         self._number = 0
         self._clicked: tuple[_Command, int] | None = None  # the last, and its result
         self._fix: Fix | None = None  # of the last click
-        self._was_followed = False
+        self._was_followed = self._is_view_asked = False
         self._intervals: dict[int, tuple[int, int]] = {}  # of a message: how long, and when it is due next
         self._next_beat_ns = 0
         self._contested_ns: int | None = None
@@ -143,10 +143,10 @@ class MavlinkCamera:
         sender = Peer(message.get_srcSystem(), message.get_srcComponent())
         parameters = message.param1, message.param2, message.param3, message.param4
         command = _Command(sender, message.command, parameters, bool(getattr(message, "confirmation", 0)))
-        if handler is None and is_for_all:  # it may be someone else's
+        if handler is None and is_for_all:  # it may be someone else's, as what is denied may
             return
         result = UNSUPPORTED if handler is None else handler(command, arrival_ns)
-        if result is not None:
+        if result is not None and not (is_for_all and result == DENIED):
             self._acknowledge(command, result)
 
     def _request(self, command: _Command, now_ns: int) -> int | None:
@@ -281,6 +281,7 @@ class MavlinkCamera:
             self._take_click(answered, command, now_ns)
 
     def _take_view(self, view: View, command: _Command | None, now_ns: int) -> None:
+        self._is_view_asked = self._is_view_asked and view.number != 0
         is_there = view.feature_set is not None and view.middle is not None
         if command is not None:
             self._acknowledge(command, ACCEPTED if is_there else BUSY)
@@ -313,8 +314,8 @@ class MavlinkCamera:
             if now_ns < due_ns:
                 continue
             self._intervals[wanted] = interval_ns, now_ns + interval_ns
-            if wanted == FOV:
-                self._end.ask(ViewQuestion(0))
+            if wanted == FOV:  # one at a time: clicks wait in the same queue
+                self._is_view_asked = self._is_view_asked or self._end.ask(ViewQuestion(0))
             elif wanted == GEO:
                 if (found := self._geo_status()) is not None:
                     self._put(found)

@@ -9,6 +9,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,17 +18,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from contract.answer import Fix, Refusal
+from contract.answer import Ellipse, Fix, Place, Refusal
 from contract.errors import ConfigError
 from contract.feature_set import Status
 from contract.locate import locate
 from contract.rotations import matrix_from_quaternion
+from contract.track import Course, TrackReport, TrackState, Unseen
 from onboard.config.schema import parse_config
 from onboard.events.camera_end import Answered, Asked, Clicked, VideoClick, View
 from onboard.events.session_clock import SessionClock
 from onboard.link.autopilot_radio import radio_bucket
 from onboard.service.camera_clicks import CameraClicks
-from onboard.telemetry.camera_messages import Stream
+from onboard.telemetry.camera_messages import CameraFacts, Stream, geo_of_track
 from onboard.telemetry.factory import open_telemetry
 from onboard.telemetry.mavlink_camera import MAX_OUT, MavlinkCamera
 from tests.onboard.link.ports import free_udp_port
@@ -246,6 +248,7 @@ def test_what_is_for_others_is_not_answered_and_a_second_camera_of_the_number_en
     for system, component in ((1, 1), (1, 101), (2, 100), (0, 0)):
         virtual.send(mavlink.MAVLink_command_long_message(system, component, 2004, 0, 0.5, 0.5, 0, 0, 0, 0, 0))
     virtual.send(mavlink.MAVLink_command_long_message(1, 0, 400, 0, 1, 0, 0, 0, 0, 0, 0))  # to all: arm
+    virtual.send(mavlink.MAVLink_command_long_message(1, 0, 512, 0, 148, 0, 0, 0, 0, 0, 0))  # to all: your version
     assert not virtual.due() and not virtual.end.asked
     virtual.click(0.5, 0.5, component=0)  # to all cameras
     assert virtual.results() == [ACCEPTED]
@@ -277,6 +280,35 @@ def test_intervals_are_kept_and_ended_as_asked() -> None:
     assert [ask(276, -1.0), ask(271, 0.0)] == [ACCEPTED] * 2
     virtual.now_s = 9.0
     assert not virtual.due()
+
+
+def test_views_in_intervals_wait_for_one_another_and_leave_the_queue_to_clicks() -> None:
+    virtual = Virtual(None)
+    virtual.end.answers = lambda: []  # type: ignore[method-assign]
+    virtual.send(mavlink.MAVLink_command_long_message(1, 100, 511, 0, 271, 1e5, 0, 0, 0, 0, 0))
+    for step in range(1, 30):
+        virtual.now_s = 0.1 * step
+        virtual.due()
+    assert len(virtual.end.asked) == 1
+
+
+@given(
+    st.lists(st.floats(allow_nan=True, allow_infinity=True), min_size=6, max_size=6),
+    st.floats() | st.none(),
+    st.floats(-1e9, 1e9),
+)
+def test_whatever_was_estimated_has_a_place_on_the_wire(
+    values: list[float], height_m: float | None, pixel: float
+) -> None:
+    lat, lon, major, sigma, speed, sigma_speed = values
+    place = Place(lat, lon, height_m, None, Ellipse(major, major, 0.0), sigma)
+    course = Course(speed, sigma_speed, 30.0, 1.0)
+    report = TrackReport(1, TrackState.FOLLOWED, Unseen.NONE, 1, 1, 0, pixel, pixel, 1.0, Status.OK, place, course)
+    fov = CameraFacts("uav", CAMERA, 30.0, None, 0).fov_status(
+        replace(SETS[0], camera_lat_deg=lat, camera_height_m=major), Refusal(Status.OUTSIDE), 0
+    )
+    for message in (geo_of_track(report), CameraFacts("uav", CAMERA, 30.0, None, 0).image_status(report), fov):
+        message.pack(mavlink.MAVLink(None, 1, 100))
 
 
 @pytest.mark.parametrize("rate", [800.0, 4800.0])
