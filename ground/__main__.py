@@ -30,6 +30,7 @@ COMMANDS = {
     "cot": ("ground.commands.cot", "send pins and aircraft to TAK as Cursor on Target"),
     "accuracy": ("ground.commands.accuracy", "how far clicks on surveyed marks are from them"),
     "web": ("ground.web.command", "a page with the pictures to click, a map and pins"),
+    "mavlink": ("ground.commands.mavlink", "a MAVLink camera: clicks in QGroundControl's video are answered"),
     "router": ("ground.commands.router", "a router for many aircraft and people, with certificates and rights"),
     "seen": ("ground.commands.seen", "which ground was seen, when, how often, how finely; and the gaps"),
     "spots": (

@@ -39,6 +39,30 @@ def _check_free(host: str, port: int) -> None:
             raise
 
 
+def opened_wire(e: MavlinkEndpoint) -> tuple[Any, Any, str]:
+    """Open an endpoint's wire: pymavlink's connection, its dialect, and the place in words.
+
+    Raises InputError without the library, LinkError where it cannot be opened.
+    """
+    try:
+        from pymavlink import mavutil  # noqa: PLC0415  of the extra `mavlink`
+        from pymavlink.dialects.v20 import ardupilotmega as dialect  # noqa: PLC0415
+    except ImportError as error:
+        raise InputError(
+            "this needs the package pymavlink: install pointclick with its extra [mavlink] (README)"
+        ) from error
+    place = f"{e.kind}:{e.host}:{e.port}"
+    try:
+        if e.kind == "udpin":
+            _check_free(e.host, e.port)
+        wire = (
+            mavutil.mavlink_connection(e.host, baud=e.port) if e.kind == "serial" else mavutil.mavlink_connection(place)
+        )
+    except (OSError, ImportError) as error:
+        raise LinkError(f"cannot open {place}: {error}") from error
+    return wire, dialect, place
+
+
 class NumberRefused(LinkError):
     """An aircraft takes nothing under our system number: there is no use in asking again."""
 
@@ -47,26 +71,9 @@ class MavlinkLink:
     """Opened at once. Raises InputError without the library, LinkError where the endpoint cannot be opened."""
 
     def __init__(self, endpoint: MavlinkEndpoint) -> None:
-        try:
-            from pymavlink import mavutil  # noqa: PLC0415  of the extra `mavlink`
-            from pymavlink.dialects.v20 import ardupilotmega as dialect  # noqa: PLC0415
-        except ImportError as error:
-            raise InputError(
-                "this needs the package pymavlink: install pointclick with its extra [mavlink] (README)"
-            ) from error
-        self._endpoint, self._dialect = endpoint, dialect
-        e = endpoint
-        self._place = f"{e.kind}:{e.host}:{e.port}"
-        try:
-            if e.kind == "udpin":
-                _check_free(e.host, e.port)
-            if e.kind == "serial":
-                self._wire: Any = mavutil.mavlink_connection(e.host, baud=e.port)
-            else:
-                self._wire = mavutil.mavlink_connection(self._place)
-        except (OSError, ImportError) as error:
-            raise LinkError(f"cannot open {self._place}: {error}") from error
-        self._mav: Any = dialect.MAVLink(None, srcSystem=e.system, srcComponent=e.component)
+        self._wire, self._dialect, self._place = opened_wire(endpoint)
+        self._endpoint, e = endpoint, endpoint
+        self._mav: Any = self._dialect.MAVLink(None, srcSystem=e.system, srcComponent=e.component)
         self._mav.robust_parsing = True
         self._wire.mav = self._mav
         if e.key is not None:

@@ -15,9 +15,13 @@ from functools import partial
 from pathlib import Path
 
 import cv2
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from contract.camera import Camera
 from contract.errors import ConfigError, InputError, PointclickError
+from contract.mavlink_camera.clicks import CameraClicks
+from contract.mavlink_camera.component import MavlinkCamera
+from contract.mavlink_camera.messages import CameraFacts, Stream
 from contract.topics import SPOTS, STATUS, TRACKS
 from contract.vehicle_status import encode_status
 from onboard.camera.factory import open_camera, open_second_camera
@@ -35,7 +39,6 @@ from onboard.link.picture_sender import PictureSender
 from onboard.link.publisher import Publisher
 from onboard.pipeline.pipeline import Pipeline
 from onboard.service import journal
-from onboard.service.camera_clicks import CameraClicks
 from onboard.service.daemon import Daemon, SignalOrders
 from onboard.service.host import cpu_temperature_c
 from onboard.service.measure_thread import MeasureThread
@@ -52,7 +55,7 @@ from onboard.storage.elevation_files import TerrainFiles
 from onboard.storage.rotating_recorder import Recorded
 from onboard.storage.session_number import next_session
 from onboard.telemetry.factory import open_telemetry
-from onboard.telemetry.mavlink_camera import MavlinkCamera
+from onboard.telemetry.mavlink_passage import SIGNATURE_BYTES
 
 LEAST_FOR_PICTURES = 10_000.0  # bit/s: a picture of a kilobyte a second
 
@@ -203,14 +206,18 @@ def _camera_component(
     config: Config, camera: Camera, clock: SessionClock, radio: AutopilotRadio | None, tracks: TrackThread | None
 ) -> tuple[CameraClicks | None, MavlinkCamera | None]:
     """Return the thread that answers a MAVLink camera's clicks, and the camera on the autopilot's network."""
-    if not config.mavlink_camera.enabled:
+    stated = config.mavlink_camera
+    if not stated.enabled:
         return None, None
-    clicks = CameraClicks(config)
+    clicks = CameraClicks(config.vehicle.id, stated.delay_s, stated.sigma_delay_s)
     if tracks is not None:
         clicks.follow = tracks.answer
         tracks.outlets.append(clicks.tracks)
     share = radio_bucket(config.link.mavlink_bit_rate, time.monotonic()) if radio is None else radio.bucket
-    return clicks, MavlinkCamera.open(config, camera, clock.now_ns(), clicks, share)
+    stream = None if stated.video is None else Stream.parse(stated.video)
+    facts = CameraFacts(mavlink, config.vehicle.id, camera, config.camera.rate_hz, stream, clock.now_ns())
+    signature_bytes = 0 if config.telemetry.signing_key is None else SIGNATURE_BYTES
+    return clicks, MavlinkCamera(stated.component, facts, clicks, share, signature_bytes=signature_bytes)
 
 
 def _spots(

@@ -2,7 +2,6 @@
 
 Public:
 
-- `camera_end`: `Answered`, `Asked`, `CameraEnd`, `Clicked`, `Share`, `VideoClick`, `View`, `ViewQuestion`
 - `kept_pictures`: `KEPT_BYTES`, `LEAST`, `RECENT_NS`, `Grey`, `Kept`, `KeptPictures`, `Pictured`
 - `session_clock`: `SessionClock`
 - `sink`: `Sink`

@@ -2,7 +2,6 @@
 
 Public:
 
-- `camera_clicks`: `CameraClicks`
 - `daemon`: `Daemon`, `SignalOrders`
 - `host`: `cpu_temperature_c`, `free_mb`
 - `journal`

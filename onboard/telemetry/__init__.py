@@ -8,7 +8,7 @@ Public:
 - `geo_reader`: `GeoPlace`, `read_geo`
 - `log_files`: `format_of`, `logs_among`, `read_log`
 - `log_formats`: `SUFFIXES`
-- `mavlink_camera`: `MavlinkCamera`
+- `mavlink_passage`: `SIGNATURE_BYTES`
 - `mp4_container`: `creation_ns`
 - `mrk_reader`: `read_mrk`
 - `read_options`: `ReadOptions`

@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from contract.errors import ConfigError
+from contract.mavlink_camera.component import MavlinkCamera
 from onboard.config.schema import Config
 from onboard.events.session_clock import SessionClock
 from onboard.events.source import TelemetrySource
 from onboard.events.tunnel import TunnelEnd
-from onboard.telemetry.mavlink_camera import MavlinkCamera
 from onboard.telemetry.mavlink_source import LiveTelemetry, PymavlinkEnd
 from onboard.telemetry.nmea_source import NmeaTelemetry
 from onboard.telemetry.signing import read_key

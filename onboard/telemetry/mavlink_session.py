@@ -10,6 +10,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from contract.mavlink_camera.status_texts import StatusTexts
 from onboard.clocks.timesync import SELDOM_NS, LinkClock
 from onboard.config.schema import Config
 from onboard.events.source import Severity, SourceStatus, State
@@ -17,7 +18,6 @@ from onboard.events.types import GimbalAttitude, NavEvent, PositionFix
 from onboard.telemetry.gimbal_senders import Gimbals, is_of_payload
 from onboard.telemetry.mavlink_events import AUTOPILOT_COMPONENT, MessageToEvent, Sources, boot_ns_of
 from onboard.telemetry.message_rates import RateRequests
-from onboard.telemetry.status_texts import StatusTexts
 from onboard.telemetry.vehicle_choice import VehicleChoice, is_autopilot
 
 NS_PER_S = 1_000_000_000
@@ -50,7 +50,7 @@ class Autopilot:
         self._next_beat_ns = self._next_answer_ns = 0
         self._pending: deque[int] = deque(maxlen=MAX_PENDING)
         self._answers: deque[Any] = deque(maxlen=MAX_PENDING)
-        self._texts = StatusTexts()
+        self._texts = StatusTexts(mavlink)
         self._kind = int(mavlink.MAV_AUTOPILOT_INVALID)  # of autopilot; not known yet
 
     @property
@@ -190,7 +190,7 @@ class Autopilot:
 
     def send_text(self, severity: Severity, text: str) -> None:
         """Have a text shown to the pilot: 100 characters at most. The newest few wait for the link."""
-        self._texts.add(severity, text)
+        self._texts.add(severity.value, text)
 
     # --- how it is ---
 

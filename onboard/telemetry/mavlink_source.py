@@ -9,11 +9,11 @@ from typing import Any, Protocol
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from contract.mavlink_camera.component import MavlinkCamera
 from onboard.config.schema import Config
 from onboard.events.session_clock import SessionClock
 from onboard.events.source import Emit, Severity, SourceStatus, State, Stop
 from onboard.events.tunnel import TunnelEnd
-from onboard.telemetry.mavlink_camera import MavlinkCamera
 from onboard.telemetry.mavlink_events import AUTOPILOT_COMPONENT
 from onboard.telemetry.mavlink_framing import Framer, SequenceGaps
 from onboard.telemetry.mavlink_passage import Passage

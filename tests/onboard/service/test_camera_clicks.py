@@ -6,21 +6,21 @@ import math
 
 import numpy as np
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from contract.answer import Fix, Refusal
 from contract.feature_set import Status
+from contract.mavlink_camera.clicks import MAX_ASKED, WAIT_S, CameraClicks
+from contract.mavlink_camera.end import Clicked, VideoClick, View, ViewQuestion
+from contract.mavlink_camera.messages import CameraFacts
 from contract.track import TrackState
 from onboard.config.schema import parse_config
-from onboard.events.camera_end import Clicked, VideoClick, View, ViewQuestion
-from onboard.service.camera_clicks import MAX_ASKED, WAIT_S, CameraClicks
 from onboard.service.track_thread import TrackThread
-from onboard.telemetry.camera_messages import CameraFacts, geo_of_track
 from tests.onboard.tracks.flat_world import CAMERA, EPOCH_NS, PLACE, RATE_HZ, Thing, World, at
 
 DELAY_S, SIGMA_S, CAR_M_S = 0.5, 0.1, 4.0
-CONFIG = parse_config(
-    f'[vehicle]\nid = "uav-1"\n[mavlink_camera]\nenabled = true\ndelay_s = {DELAY_S}\nsigma_delay_s = {SIGMA_S}\n'
-)
+CONFIG = parse_config('[vehicle]\nid = "uav-1"\n')
+FACTS = CameraFacts(mavlink, "uav-1", CAMERA, RATE_HZ, None, 0)
 CAR = Thing(at(-10.0, 0.0, (CAR_M_S, 0.0)), 2.0)
 
 
@@ -29,7 +29,7 @@ class Flight:
 
     def __init__(self, world: World | None = None, *, follows: bool = True) -> None:
         self.world, self.number = world or World((CAR,)), 0
-        self.clicks = CameraClicks(CONFIG, self.now_s)
+        self.clicks = CameraClicks("uav-1", DELAY_S, SIGMA_S, self.now_s)
         self.tracks = TrackThread(CONFIG, [self.clicks.tracks], self.now_s)
         if follows:
             self.clicks.follow = self.tracks.answer
@@ -70,12 +70,12 @@ def test_a_car_that_is_clicked_in_the_late_video_is_followed_from_there_on() -> 
     flight.fly(30)
     report = flight.clicks.followed()
     assert report is not None and report.state is TrackState.FOLLOWED
-    picture = CameraFacts("uav-1", CAMERA, RATE_HZ, None, 0).image_status(report)
+    picture = FACTS.image_status(report)
     assert (picture.tracking_status, picture.tracking_mode, picture.target_data) == (1, 1, 4)
     u, v = flight.world.pixel(CAR, report.frame)
     assert abs(picture.point_x * CAMERA.width_px - u) < 3.0 and abs(picture.point_y * CAMERA.height_px - v) < 3.0
     assert 0.3 * 10.0 < picture.radius * CAMERA.width_px < 30.0 and math.isnan(picture.rec_top_x)
-    geo = geo_of_track(report)
+    geo = FACTS.geo_of_track(report)
     assert geo is not None and geo.tracking_status == 1
     east_m, north_m, _ = PLACE.to_enu(geo.lat * 1e-7, geo.lon * 1e-7, geo.alt)
     error_m = np.array([east_m, north_m]) - CAR.place((report.capture_unix_ns - EPOCH_NS) / 1e9)

@@ -22,16 +22,16 @@ from contract.answer import Ellipse, Fix, Place, Refusal
 from contract.errors import ConfigError
 from contract.feature_set import Status
 from contract.locate import locate
+from contract.mavlink_camera.clicks import CameraClicks
+from contract.mavlink_camera.component import MAX_OUT, MavlinkCamera
+from contract.mavlink_camera.end import Answered, Asked, Clicked, VideoClick, View
+from contract.mavlink_camera.messages import CameraFacts, Stream
 from contract.rotations import matrix_from_quaternion
 from contract.track import Course, TrackReport, TrackState, Unseen
 from onboard.config.schema import parse_config
-from onboard.events.camera_end import Answered, Asked, Clicked, VideoClick, View
 from onboard.events.session_clock import SessionClock
 from onboard.link.autopilot_radio import radio_bucket
-from onboard.service.camera_clicks import CameraClicks
-from onboard.telemetry.camera_messages import CameraFacts, Stream, geo_of_track
 from onboard.telemetry.factory import open_telemetry
-from onboard.telemetry.mavlink_camera import MAX_OUT, MavlinkCamera
 from tests.onboard.link.ports import free_udp_port
 from tests.onboard.telemetry.standard_client import GROUND, StandardClient, standard
 from tests.onboard.tracks.flat_world import CAMERA, EPOCH_NS, PLACE, Thing, World, at
@@ -44,26 +44,21 @@ VIDEO = "rtsp://192.168.1.20:8554/video"
 ACCEPTED, BUSY, DENIED, UNSUPPORTED, FAILED = 0, 1, 2, 3, 4
 
 
-def configuration(**keys: object) -> str:
-    given = {"enabled": "true", "delay_s": DELAY_S, "sigma_delay_s": SIGMA_S, **keys}
-    return "[mavlink_camera]\n" + "\n".join(f"{key} = {value}" for key, value in given.items()) + "\n"
+def facts(video: str | None = VIDEO, boot_ns: int = 0) -> CameraFacts:
+    return CameraFacts(mavlink, "uav-1", CAMERA, 30.0, None if video is None else Stream.parse(video), boot_ns)
 
 
 @contextmanager
 def live(video: str | None = VIDEO, rate: float = 1e5) -> Iterator[tuple[StandardClient, SessionClock]]:
     """The telemetry of an aircraft that has been over the world for three seconds, and a ground station."""
     port = free_udp_port()
-    keys = {} if video is None else {"video": f'"{video}"'}
-    config = parse_config(
-        f'[telemetry]\nurl = "udpin:127.0.0.1:{port}"\nsystem = 1\n[link]\nmavlink_bit_rate = {rate}\n'
-        + configuration(**keys)
-    )
+    config = parse_config(f'[telemetry]\nurl = "udpin:127.0.0.1:{port}"\nsystem = 1\n')
     clock = SessionClock(EPOCH_NS + 3_000_000_000 - time.monotonic_ns())
-    clicks, stop = CameraClicks(config), threading.Event()
+    clicks, stop = CameraClicks("uav-1", DELAY_S, SIGMA_S), threading.Event()
     for found in SETS:
         clicks.feature_set(found)
     share = radio_bucket(rate, time.monotonic())
-    camera = MavlinkCamera.open(config, CAMERA, clock.now_ns(), clicks, share)
+    camera = MavlinkCamera(100, facts(video, clock.now_ns()), clicks, share)
     source = open_telemetry(config, clock, camera=camera)
     thread = threading.Thread(target=source.run, args=(lambda arrival_ns, event: None, stop))
     client = StandardClient(port)
@@ -187,9 +182,7 @@ class Virtual:
     def __init__(self, answer: Fix | Refusal | None = None, rate: float = 1e6) -> None:
         self.end, self.now_s = End(answer), 0.0
         share = radio_bucket(rate, 0.0)
-        config = parse_config(configuration(video='"h265:5600"'))
-        self.camera = MavlinkCamera.open(config, CAMERA, 0, self.end, share)
-        self.camera._monotonic_s = lambda: self.now_s
+        self.camera = MavlinkCamera(100, facts(), self.end, share, monotonic_s=lambda: self.now_s)
 
     def send(self, message: Any, system: int = GROUND[0], component: int = GROUND[1]) -> None:
         packet = message.pack(mavlink.MAVLink(None, system, component))
@@ -304,10 +297,8 @@ def test_whatever_was_estimated_has_a_place_on_the_wire(
     place = Place(lat, lon, height_m, None, Ellipse(major, major, 0.0), sigma)
     course = Course(speed, sigma_speed, 30.0, 1.0)
     report = TrackReport(1, TrackState.FOLLOWED, Unseen.NONE, 1, 1, 0, pixel, pixel, 1.0, Status.OK, place, course)
-    fov = CameraFacts("uav", CAMERA, 30.0, None, 0).fov_status(
-        replace(SETS[0], camera_lat_deg=lat, camera_height_m=major), Refusal(Status.OUTSIDE), 0
-    )
-    for message in (geo_of_track(report), CameraFacts("uav", CAMERA, 30.0, None, 0).image_status(report), fov):
+    fov = facts().fov_status(replace(SETS[0], camera_lat_deg=lat, camera_height_m=major), Refusal(Status.OUTSIDE), 0)
+    for message in (facts().geo_of_track(report), facts().image_status(report), fov):
         message.pack(mavlink.MAVLink(None, 1, 100))
 
 
@@ -389,7 +380,7 @@ def test_a_video_is_named_as_the_standard_has_it(text: str, kind: int, encoding:
 
 @pytest.mark.parametrize("text", ["", "5600", "rtsp:", "h264:0", "h264:99999", "http://x", "rtsp://" + "x" * 160])
 def test_a_video_that_is_none_is_refused_at_the_start(text: str) -> None:
-    with pytest.raises(ConfigError, match=r"mavlink_camera\.video"):
+    with pytest.raises(ConfigError, match="none of rtsp"):
         Stream.parse(text)
 
 
@@ -402,7 +393,7 @@ def test_a_video_that_is_none_is_refused_at_the_start(text: str) -> None:
     ],
 )
 def test_where_no_camera_can_be_it_is_refused_at_the_start(telemetry: str, words: str) -> None:
-    config = parse_config(f"[telemetry]\n{telemetry}\n" + configuration())
-    camera = MavlinkCamera.open(config, CAMERA, 0, End(), radio_bucket(4800.0, 0.0))
+    config = parse_config(f"[telemetry]\n{telemetry}\n")
+    camera = MavlinkCamera(100, facts(), End(), radio_bucket(4800.0, 0.0))
     with pytest.raises(ConfigError, match=words):
         open_telemetry(config, SessionClock.start(), camera=camera)

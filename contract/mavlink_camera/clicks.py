@@ -1,7 +1,7 @@
-"""The thread that answers the clicks of a MAVLink camera component, next to the pipeline.
+"""The thread that answers the clicks of a MAVLink camera component, on board next to the pipeline or on the ground.
 
-The pipeline's thread only hands sets over, and a click only joins a short queue: however many come, the flight's own
-sets do not wait. A click bears no picture's time, only its arrival: the sets around the moment when its picture was
+Who makes or receives sets only hands them over, and a click only joins a short queue: however many come, nothing else
+waits for them. A click bears no picture's time, only its arrival: the sets around the moment when its picture was
 taken answer it, and those to come are waited for a little.
 """
 
@@ -20,13 +20,11 @@ from contract.answer import Ellipse, Fix
 from contract.feature_set import FeatureSet
 from contract.history import History
 from contract.locate import Locator
+from contract.mavlink_camera.end import Answered, Asked, Clicked, VideoClick, View, ViewQuestion
 from contract.supervised_thread import SupervisedThread, WokenWork
 from contract.track import StartTrack, StopTrack, TrackReport, parameters_of
 from contract.untimed_click import UntimedClick, locate_untimed
 from contract.wire.track_code import decode_tracks
-from onboard.config.schema import Config
-from onboard.events.camera_end import Answered, Asked, Clicked, VideoClick, View, ViewQuestion
-from onboard.events.types import Event
 
 MAX_ASKED = 4  # that wait for this thread
 MAX_ANSWERED = 8
@@ -55,13 +53,16 @@ class _Followed:
 
 
 class CameraClicks(WokenWork):
-    """A sink of the daemon, and a `CameraEnd`. `monotonic_s` is a clock; `follow` is set where things are followed."""
+    """A sink of the daemon's, and a `CameraEnd`. A click arrives `delay_s` after its picture was taken, with one sigma
+    of `sigma_delay_s`. `monotonic_s` is a clock; `follow` is set where things are followed.
+    """
 
-    def __init__(self, config: Config, monotonic_s: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, vehicle: str, delay_s: float, sigma_delay_s: float, monotonic_s: Callable[[], float] = time.monotonic
+    ) -> None:
         super().__init__("camera clicks")
-        stated = config.mavlink_camera
-        self._delay_s, self._sigma_s = stated.delay_s, stated.sigma_delay_s
-        self._vehicle, self._monotonic_s = config.vehicle.id, monotonic_s
+        self._delay_s, self._sigma_s = delay_s, sigma_delay_s
+        self._vehicle, self._monotonic_s = vehicle, monotonic_s
         self.follow: Follow | None = None
         reach_s = self._delay_s + 4.0 * self._sigma_s + WAIT_S + 5.0
         self._sets: History[FeatureSet] = History(reach_s, MAX_SETS)
@@ -69,9 +70,9 @@ class CameraClicks(WokenWork):
         self._answered: deque[Answered] = deque(maxlen=MAX_ANSWERED)
         self._followed: _Followed | None = None
 
-    # --- from the pipeline's thread, and the tracks' ---
+    # --- from those who have sets and reports ---
 
-    def event(self, arrival_ns: int, event: Event) -> None:
+    def event(self, arrival_ns: int, event: object) -> None:
         """Ignore it: sets have all that is needed."""
 
     def feature_set(self, output: FeatureSet) -> None:
@@ -91,7 +92,7 @@ class CameraClicks(WokenWork):
                 if report.number == followed.track:
                     self._followed = replace(followed, report=report, since_s=self._monotonic_s())
 
-    # --- from the telemetry's thread ---
+    # --- from the thread of the MAVLink line ---
 
     def ask(self, asked: Asked) -> bool:
         """Take a question; False where too many wait already."""

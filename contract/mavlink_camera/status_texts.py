@@ -5,10 +5,6 @@ from __future__ import annotations
 from collections import deque
 from typing import Any
 
-from pymavlink.dialects.v20 import ardupilotmega as mavlink
-
-from onboard.events.source import Severity
-
 TEXT_NS = 500_000_000  # between texts: the pilot must be able to read them
 CHUNK_LENGTH = 50  # of STATUSTEXT
 MAX_CHUNKS = 2
@@ -18,13 +14,14 @@ MAX_TEXTS = 8
 class StatusTexts:
     """Keeps the newest few texts until they are due."""
 
-    def __init__(self) -> None:
-        self._texts: deque[tuple[Severity, str]] = deque(maxlen=MAX_TEXTS)
+    def __init__(self, dialect: Any) -> None:
+        self._dialect = dialect
+        self._texts: deque[tuple[int, str]] = deque(maxlen=MAX_TEXTS)
         self._next_ns = 0
         self._number = 0
 
-    def add(self, severity: Severity, text: str) -> None:
-        """Have a text shown: 100 characters at most."""
+    def add(self, severity: int, text: str) -> None:
+        """Have a text shown: 100 characters at most, with a MAV_SEVERITY."""
         self._texts.append((severity, text[: MAX_CHUNKS * CHUNK_LENGTH]))
 
     def due(self, now_ns: int) -> list[Any]:
@@ -34,15 +31,15 @@ class StatusTexts:
         self._next_ns = now_ns + TEXT_NS
         return self._messages(*self._texts.popleft())
 
-    def _messages(self, severity: Severity, text: str) -> list[Any]:
+    def _messages(self, severity: int, text: str) -> list[Any]:
         """One message, or several that ground stations put together by number; MAVLink 1 ones show them apart."""
         data = text.encode("ascii", "replace")
         if len(data) <= CHUNK_LENGTH:
-            return [mavlink.MAVLink_statustext_message(severity.value, data)]
+            return [self._dialect.MAVLink_statustext_message(severity, data)]
         self._number = self._number % 65535 + 1
         return [
-            mavlink.MAVLink_statustext_message(
-                severity.value, data[at : at + CHUNK_LENGTH], self._number, at // CHUNK_LENGTH
+            self._dialect.MAVLink_statustext_message(
+                severity, data[at : at + CHUNK_LENGTH], self._number, at // CHUNK_LENGTH
             )
             for at in range(0, len(data), CHUNK_LENGTH)
         ]

@@ -74,7 +74,7 @@ class CameraEnd(Protocol):
 
 
 class Share(Protocol):
-    """The share of a bit rate that is left, in bytes: `onboard.link.byte_budget.Bucket`."""
+    """The share of a bit rate that is left, in bytes: `onboard.link.byte_budget.Bucket` serves it."""
 
     def wait_s(self, cost: float, now_s: float) -> float:
         """Return how long so many bytes have to wait."""

@@ -1,4 +1,4 @@
-"""What a MAVLink camera component states, as messages of pymavlink: pure functions of what is known.
+"""What a MAVLink camera component states, as messages of pymavlink: functions of what is known.
 
 Fields by MAVLink's common.xml. The standard gives no confidence for an accuracy: all are stated at 90 %, as everywhere
 here, so that who takes them for one sigma is on the safe side.
@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from contract.answer import CHI2_2, Answer, Fix, Place, Refusal
 from contract.camera import Camera
@@ -25,18 +24,24 @@ SIGMAS_1D = 1.645  # 90 % of a normal distribution are within
 NAN, MOST_REAL = math.nan, 3e38
 MAX_URI = 159  # characters and the zero that ends them
 VENDOR = b"pointclick"
-IDLE, ACTIVE = mavlink.CAMERA_TRACKING_STATUS_FLAGS_IDLE, mavlink.CAMERA_TRACKING_STATUS_FLAGS_ACTIVE
+# CAMERA_TRACKING_STATUS_FLAGS, CAMERA_TRACKING_MODE_POINT, CAMERA_TRACKING_TARGET_DATA_IN_STATUS
+IDLE, ACTIVE, ERROR, COASTING = 0, 1, 2, 8
+POINT, IN_STATUS = 1, 4
+# CAMERA_CAP_FLAGS, VIDEO_STREAM_STATUS_FLAGS_RUNNING, CAMERA_MODE_VIDEO
+HAS_VIDEO_STREAM, HAS_TRACKING_POINT, HAS_TRACKING_GEO_STATUS = 256, 512, 2048
+RUNNING, VIDEO_MODE = 1, 1
 STATUS = {
     TrackState.FOLLOWED: ACTIVE,
-    TrackState.COASTING: ACTIVE | mavlink.CAMERA_TRACKING_STATUS_FLAGS_COASTING,
-    TrackState.LOST: mavlink.CAMERA_TRACKING_STATUS_FLAGS_ERROR,
+    TrackState.COASTING: ACTIVE | COASTING,
+    TrackState.LOST: ERROR,
 }
+# VIDEO_STREAM_TYPE and VIDEO_STREAM_ENCODING (0: unknown)
 SCHEMES = {
-    "rtsp": (mavlink.VIDEO_STREAM_TYPE_RTSP, mavlink.VIDEO_STREAM_ENCODING_UNKNOWN),
-    "tcp": (mavlink.VIDEO_STREAM_TYPE_TCP_MPEG, mavlink.VIDEO_STREAM_ENCODING_UNKNOWN),
-    "h264": (mavlink.VIDEO_STREAM_TYPE_RTPUDP, mavlink.VIDEO_STREAM_ENCODING_H264),
-    "h265": (mavlink.VIDEO_STREAM_TYPE_RTPUDP, mavlink.VIDEO_STREAM_ENCODING_H265),
-    "mpegts": (mavlink.VIDEO_STREAM_TYPE_MPEG_TS, mavlink.VIDEO_STREAM_ENCODING_UNKNOWN),
+    "rtsp": (0, 0),
+    "tcp": (2, 0),
+    "h264": (1, 1),
+    "h265": (1, 2),
+    "mpegts": (3, 0),
 }
 
 
@@ -58,8 +63,8 @@ class Stream:
         is_good = (rest.startswith("//") and len(rest) > 2) if is_address else is_port
         if known is None or not is_good or len(text) > MAX_URI or not text.isascii():
             raise ConfigError(
-                "mavlink_camera.video is none of rtsp://HOST:PORT/PATH, tcp://HOST:PORT, h264:PORT, h265:PORT and "
-                f"mpegts:PORT, of at most {MAX_URI} ASCII characters"
+                "the video (mavlink_camera.video, --video) is none of rtsp://HOST:PORT/PATH, tcp://HOST:PORT, "
+                f"h264:PORT, h265:PORT and mpegts:PORT, of at most {MAX_URI} ASCII characters"
             )
         return cls(*known, text if is_address else rest)
 
@@ -68,6 +73,7 @@ class Stream:
 class CameraFacts:
     """What does not change in flight. `boot_ns`: when the camera began, on the clock of the messages' stamps."""
 
+    dialect: Any
     name: str
     camera: Camera
     rate_hz: float
@@ -80,29 +86,29 @@ class CameraFacts:
 
     def information(self, now_ns: int) -> Any:
         """CAMERA_INFORMATION."""
-        flags = mavlink.CAMERA_CAP_FLAGS_HAS_TRACKING_POINT | mavlink.CAMERA_CAP_FLAGS_HAS_TRACKING_GEO_STATUS
+        flags = HAS_TRACKING_POINT | HAS_TRACKING_GEO_STATUS
         if self.stream is not None:
-            flags |= mavlink.CAMERA_CAP_FLAGS_HAS_VIDEO_STREAM
-        return mavlink.MAVLink_camera_information_message(
+            flags |= HAS_VIDEO_STREAM
+        return self.dialect.MAVLink_camera_information_message(
             self.time_ms(now_ns), list(VENDOR.ljust(32, b"\0")), list(self.name.encode()[:31].ljust(32, b"\0")),
             0, NAN, NAN, NAN, self.camera.width_px, self.camera.height_px, 0, flags, 0, b"",
         )  # fmt: skip
 
     def settings(self, now_ns: int) -> Any:
         """CAMERA_SETTINGS."""
-        return mavlink.MAVLink_camera_settings_message(self.time_ms(now_ns), mavlink.CAMERA_MODE_VIDEO, NAN, NAN)
+        return self.dialect.MAVLink_camera_settings_message(self.time_ms(now_ns), VIDEO_MODE, NAN, NAN)
 
     def stream_information(self, stream: Stream) -> Any:
         """VIDEO_STREAM_INFORMATION; the bit rate is not known."""
-        return mavlink.MAVLink_video_stream_information_message(
-            1, 1, stream.kind, mavlink.VIDEO_STREAM_STATUS_FLAGS_RUNNING, self.rate_hz, self.camera.width_px,
+        return self.dialect.MAVLink_video_stream_information_message(
+            1, 1, stream.kind, RUNNING, self.rate_hz, self.camera.width_px,
             self.camera.height_px, 0, 0, self._hfov(), b"video", stream.uri.encode(), stream.encoding,
         )  # fmt: skip
 
     def stream_status(self) -> Any:
         """VIDEO_STREAM_STATUS."""
-        return mavlink.MAVLink_video_stream_status_message(
-            1, mavlink.VIDEO_STREAM_STATUS_FLAGS_RUNNING, self.rate_hz, self.camera.width_px, self.camera.height_px, 0,
+        return self.dialect.MAVLink_video_stream_status_message(
+            1, RUNNING, self.rate_hz, self.camera.width_px, self.camera.height_px, 0,
             0, self._hfov(),
         )  # fmt: skip
 
@@ -123,7 +129,7 @@ class CameraFacts:
         elif middle.status is Status.ABOVE_HORIZON:
             lat = lon = alt = AT_INFINITY
         q = quaternion_from_matrix(R_ENU_NED.T @ found.R_enu_cam @ R_GIMBAL_CAM.T)
-        return mavlink.MAVLink_camera_fov_status_message(
+        return self.dialect.MAVLink_camera_fov_status_message(
             self.time_ms(now_ns), _degrees(found.camera_lat_deg), _degrees(found.camera_lon_deg),
             _millimetres(height_m), lat, lon, alt, [float(c) for c in q], *fields_of_view_deg(found.camera),
         )  # fmt: skip
@@ -131,11 +137,38 @@ class CameraFacts:
     def image_status(self, report: TrackReport | None) -> Any:
         """CAMERA_TRACKING_IMAGE_STATUS: where what is followed is in the picture; idle without it."""
         if report is None:
-            return mavlink.MAVLink_camera_tracking_image_status_message(IDLE, 0, 0, *[NAN] * 7)
+            return self.dialect.MAVLink_camera_tracking_image_status_message(IDLE, 0, 0, *[NAN] * 7)
         width, height = self.camera.width_px, self.camera.height_px
-        return mavlink.MAVLink_camera_tracking_image_status_message(
-            STATUS[report.state], mavlink.CAMERA_TRACKING_MODE_POINT, mavlink.CAMERA_TRACKING_TARGET_DATA_IN_STATUS,
+        return self.dialect.MAVLink_camera_tracking_image_status_message(
+            STATUS[report.state], POINT, IN_STATUS,
             (report.u_px + 0.5) / width, (report.v_px + 0.5) / height, 0.5 * report.size_px / width, *[NAN] * 4,
+        )  # fmt: skip
+
+    def geo_of_fix(self, fix: Fix, *, is_followed: bool) -> Any:
+        """CAMERA_TRACKING_GEO_STATUS of a click's answer; the distance is from where its picture was taken."""
+        distance_m = float(np.linalg.norm(fix.offset_enu_m))
+        return self._geo_status(ACTIVE if is_followed else IDLE, fix.place, (NAN, NAN, NAN), distance_m)
+
+    def geo_of_track(self, report: TrackReport) -> Any | None:
+        """CAMERA_TRACKING_GEO_STATUS of what is followed; None while its place is not known. Its heading never is."""
+        if report.place is None:
+            return None
+        velocity, course = (NAN, NAN, NAN), report.course
+        if course is not None:
+            towards = math.radians(course.course_deg or 0.0)
+            speed_m_s = course.speed_m_s if course.is_moving else 0.0
+            accuracy_m_s = math.sqrt(CHI2_2) * course.sigma_speed_m_s
+            velocity = speed_m_s * math.cos(towards), speed_m_s * math.sin(towards), accuracy_m_s
+        return self._geo_status(STATUS[report.state], report.place, velocity, NAN)
+
+    def _geo_status(self, status: int, place: Place, velocity: tuple[float, float, float], distance_m: float) -> Any:
+        height_m = NAN if place.height_amsl_m is None else place.height_amsl_m
+        v_acc_m = NAN if place.height_amsl_m is None else SIGMAS_1D * place.sigma_height_m
+        north_m_s, east_m_s, vel_acc_m_s = velocity
+        height_m, v_acc_m, h_acc_m, distance_m = map(_real, (height_m, v_acc_m, place.ellipse.semi_major_m, distance_m))
+        return self.dialect.MAVLink_camera_tracking_geo_status_message(
+            status, _degrees(place.lat_deg), _degrees(place.lon_deg), height_m, h_acc_m, v_acc_m, _real(north_m_s),
+            _real(east_m_s), NAN, _real(vel_acc_m_s), distance_m, NAN, NAN,
         )  # fmt: skip
 
 
@@ -152,36 +185,6 @@ def fields_of_view_deg(camera: Camera) -> tuple[float, float]:
         for k in (0, 2)
     )
     return across, upright
-
-
-def geo_of_fix(fix: Fix, *, is_followed: bool) -> Any:
-    """CAMERA_TRACKING_GEO_STATUS of a click's answer; the distance is from where its picture was taken."""
-    distance_m = float(np.linalg.norm(fix.offset_enu_m))
-    return _geo_status(ACTIVE if is_followed else IDLE, fix.place, (NAN, NAN, NAN), distance_m)
-
-
-def geo_of_track(report: TrackReport) -> Any | None:
-    """CAMERA_TRACKING_GEO_STATUS of what is followed; None while its place is not known. Which way it faces is not."""
-    if report.place is None:
-        return None
-    velocity, course = (NAN, NAN, NAN), report.course
-    if course is not None:
-        towards = math.radians(course.course_deg or 0.0)
-        speed_m_s = course.speed_m_s if course.is_moving else 0.0
-        accuracy_m_s = math.sqrt(CHI2_2) * course.sigma_speed_m_s
-        velocity = speed_m_s * math.cos(towards), speed_m_s * math.sin(towards), accuracy_m_s
-    return _geo_status(STATUS[report.state], report.place, velocity, NAN)
-
-
-def _geo_status(status: int, place: Place, velocity: tuple[float, float, float], distance_m: float) -> Any:
-    height_m = NAN if place.height_amsl_m is None else place.height_amsl_m
-    v_acc_m = NAN if place.height_amsl_m is None else SIGMAS_1D * place.sigma_height_m
-    north_m_s, east_m_s, vel_acc_m_s = velocity
-    height_m, v_acc_m, h_acc_m, distance_m = map(_real, (height_m, v_acc_m, place.ellipse.semi_major_m, distance_m))
-    return mavlink.MAVLink_camera_tracking_geo_status_message(
-        status, _degrees(place.lat_deg), _degrees(place.lon_deg), height_m, h_acc_m, v_acc_m, _real(north_m_s),
-        _real(east_m_s), NAN, _real(vel_acc_m_s), distance_m, NAN, NAN,
-    )  # fmt: skip
 
 
 def words_of(answer: Answer) -> str:

@@ -13,22 +13,16 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Self
-
-from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from typing import Any
 
 from contract.answer import Fix, Refusal
-from contract.camera import Camera
 from contract.feature_set import Status
-from onboard.config.schema import Config
-from onboard.events.camera_end import Answered, CameraEnd, Clicked, Share, VideoClick, View, ViewQuestion
-from onboard.events.source import Severity
-from onboard.events.tunnel import Peer
-from onboard.telemetry.camera_messages import CameraFacts, Stream, geo_of_fix, geo_of_track, words_of
-from onboard.telemetry.mavlink_passage import FRAME_BYTES, SIGNATURE_BYTES
-from onboard.telemetry.status_texts import StatusTexts
+from contract.mavlink_camera.end import Answered, CameraEnd, Clicked, Share, VideoClick, View, ViewQuestion
+from contract.mavlink_camera.messages import CameraFacts, words_of
+from contract.mavlink_camera.status_texts import StatusTexts
 
 NS_PER_S = 1_000_000_000
+FRAME_BYTES = 12  # of a packet, in addition to its payload
 BEAT_NS = NS_PER_S  # a ground station takes a camera for gone after five seconds
 CONTESTED_NS = 10 * NS_PER_S  # since another camera of our number was received
 MAX_OUT = 24  # messages that wait for the bit rate
@@ -37,28 +31,18 @@ ANSWERED_NS = 5 * NS_PER_S  # after which a question is taken for lost
 SAME_TEXT_NS = 5 * NS_PER_S  # between two texts with the same words
 LEAST_INTERVAL_US, MOST_INTERVAL_US = 100_000.0, 3.6e9
 
-ACCEPTED = int(mavlink.MAV_RESULT_ACCEPTED)
-BUSY = int(mavlink.MAV_RESULT_TEMPORARILY_REJECTED)
-DENIED = int(mavlink.MAV_RESULT_DENIED)
-UNSUPPORTED = int(mavlink.MAV_RESULT_UNSUPPORTED)
-FAILED = int(mavlink.MAV_RESULT_FAILED)
-IN_PROGRESS = int(mavlink.MAV_RESULT_IN_PROGRESS)
-
-INFORMATION = int(mavlink.MAVLINK_MSG_ID_CAMERA_INFORMATION)
-SETTINGS = int(mavlink.MAVLINK_MSG_ID_CAMERA_SETTINGS)
-STREAM_INFORMATION = int(mavlink.MAVLINK_MSG_ID_VIDEO_STREAM_INFORMATION)
-STREAM_STATUS = int(mavlink.MAVLINK_MSG_ID_VIDEO_STREAM_STATUS)
-FOV = int(mavlink.MAVLINK_MSG_ID_CAMERA_FOV_STATUS)
-IMAGE = int(mavlink.MAVLINK_MSG_ID_CAMERA_TRACKING_IMAGE_STATUS)
-GEO = int(mavlink.MAVLINK_MSG_ID_CAMERA_TRACKING_GEO_STATUS)
+# Numbers of MAVLink's common.xml: MAV_RESULT,
+ACCEPTED, BUSY, DENIED, UNSUPPORTED, FAILED, IN_PROGRESS = range(6)
+# messages,
+INFORMATION, SETTINGS, STREAM_INFORMATION, STREAM_STATUS, FOV, IMAGE, GEO = 259, 260, 269, 270, 271, 275, 276
 STREAMED = FOV, IMAGE, GEO
-# Commands of before MAV_CMD_REQUEST_MESSAGE: what they ask for. The first two ask with 1.
-OLD_REQUESTS = {
-    mavlink.MAV_CMD_REQUEST_CAMERA_INFORMATION: INFORMATION,
-    mavlink.MAV_CMD_REQUEST_CAMERA_SETTINGS: SETTINGS,
-    mavlink.MAV_CMD_REQUEST_VIDEO_STREAM_INFORMATION: STREAM_INFORMATION,
-    mavlink.MAV_CMD_REQUEST_VIDEO_STREAM_STATUS: STREAM_STATUS,
-}
+# MAV_CMD,
+SET_MESSAGE_INTERVAL, REQUEST_MESSAGE, CAMERA_TRACK_POINT, CAMERA_STOP_TRACKING = 511, 512, 2004, 2010
+# commands of before MAV_CMD_REQUEST_MESSAGE with what they ask for (the first two with 1),
+OLD_REQUESTS = {521: INFORMATION, 522: SETTINGS, 2504: STREAM_INFORMATION, 2505: STREAM_STATUS}
+# MAV_TYPE_CAMERA, MAV_AUTOPILOT_INVALID, MAV_STATE_ACTIVE, the version of HEARTBEAT; and MAV_SEVERITY.
+CAMERA_BEAT = 30, 8, 0, 0, 4, 3
+WARNING, INFO = 4, 6
 # Refusals that no waiting mends: the pixel's, or the camera's.
 PERMANENT = {
     Status.OUTSIDE, Status.ABOVE_HORIZON, Status.OUTSIDE_CALIBRATION, Status.STABILISED, Status.ZOOMED,
@@ -70,13 +54,14 @@ PERMANENT = {
 class _Command:
     """A command to us: its sender, what it is, its first four parameters, and whether it was sent again."""
 
-    sender: Peer
+    sender: tuple[int, int]
     command: int
     parameters: tuple[float, ...]
     is_again: bool
+    arrival_ns: int  # by the clock of the pictures
 
     @property
-    def key(self) -> tuple[Peer, int, bytes]:
+    def key(self) -> tuple[tuple[int, int], int, bytes]:
         """The same for a command that is sent again, also where a parameter is nan."""
         return self.sender, self.command, struct.pack("<4f", *self.parameters)
 
@@ -98,7 +83,7 @@ class MavlinkCamera:
         self._overhead, self._monotonic_s = FRAME_BYTES + signature_bytes, monotonic_s
         self._acknowledgements: deque[Any] = deque()
         self._out: deque[Any] = deque()
-        self._texts = StatusTexts()
+        self._texts = StatusTexts(facts.dialect)
         self._shown = "", -SAME_TEXT_NS  # the last text, and when
         self._pending: dict[int, tuple[_Command, int]] = {}  # with when it came
         self._number = 0
@@ -109,43 +94,43 @@ class MavlinkCamera:
         self._next_beat_ns = 0
         self._contested_ns: int | None = None
         self._handlers: dict[int, Callable[[_Command, int], int | None]] = {
-            mavlink.MAV_CMD_REQUEST_MESSAGE: self._request,
-            mavlink.MAV_CMD_SET_MESSAGE_INTERVAL: self._set_interval,
-            mavlink.MAV_CMD_CAMERA_TRACK_POINT: self._track_point,
-            mavlink.MAV_CMD_CAMERA_STOP_TRACKING: self._stop_tracking,
+            REQUEST_MESSAGE: self._request,
+            SET_MESSAGE_INTERVAL: self._set_interval,
+            CAMERA_TRACK_POINT: self._track_point,
+            CAMERA_STOP_TRACKING: self._stop_tracking,
             **dict.fromkeys(OLD_REQUESTS, self._old_request),
         }
 
-    @classmethod
-    def open(cls, config: Config, camera: Camera, boot_ns: int, end: CameraEnd, share: Share) -> Self:
-        """Make it as the configuration specifies. Raises ConfigError for a video that is none."""
-        stated = config.mavlink_camera
-        stream = None if stated.video is None else Stream.parse(stated.video)
-        facts = CameraFacts(config.vehicle.id, camera, config.camera.rate_hz, stream, boot_ns)
-        signature_bytes = 0 if config.telemetry.signing_key is None else SIGNATURE_BYTES
-        return cls(stated.component, facts, end, share, signature_bytes=signature_bytes)
-
     # --- in ---
 
-    def receive(self, message: Any, system: int | None, arrival_ns: int) -> None:
-        """One message from the line; `system`: the vehicle's number, as far as it is known."""
+    def receive(self, message: Any, system: int | None, now_ns: int, arrival_ns: int | None = None) -> None:
+        """One message from the line; `system`: the vehicle's number, as far as it is known.
+
+        `arrival_ns` is now by the clock of the pictures, where that is another.
+        """
         name = message.get_type()
         if system is None:
             return
         if name == "HEARTBEAT" and (message.get_srcSystem(), message.get_srcComponent()) == (system, self.component):
-            self._contested_ns = arrival_ns
+            self._contested_ns = now_ns
         if name not in ("COMMAND_LONG", "COMMAND_INT") or message.target_system != system:
             return
         is_for_all = message.target_component == 0
         handler = self._handlers.get(message.command)
-        if message.target_component not in (0, self.component) or self._is_contested(arrival_ns):
+        if message.target_component not in (0, self.component) or self._is_contested(now_ns):
             return
-        sender = Peer(message.get_srcSystem(), message.get_srcComponent())
+        sender = message.get_srcSystem(), message.get_srcComponent()
         parameters = message.param1, message.param2, message.param3, message.param4
-        command = _Command(sender, message.command, parameters, bool(getattr(message, "confirmation", 0)))
+        command = _Command(
+            sender,
+            message.command,
+            parameters,
+            bool(getattr(message, "confirmation", 0)),
+            now_ns if arrival_ns is None else arrival_ns,
+        )
         if handler is None and is_for_all:  # it may be someone else's, as what is denied may
             return
-        result = UNSUPPORTED if handler is None else handler(command, arrival_ns)
+        result = UNSUPPORTED if handler is None else handler(command, now_ns)
         if result is not None and not (is_for_all and result == DENIED):
             self._acknowledge(command, result)
 
@@ -207,13 +192,13 @@ class MavlinkCamera:
             return self._clicked[1]
         u, v, _, camera = command.parameters
         if not (0.0 <= u <= 1.0 and 0.0 <= v <= 1.0):
-            self._show(Severity.WARNING, "click: the point is off the picture", now_ns)
+            self._show(WARNING, "click: the point is off the picture", now_ns)
             return DENIED
         if not self._is_ours(camera):
             return DENIED
-        result = self._ask(command, VideoClick(self._next_number(), (u, v), now_ns), now_ns)
+        result = self._ask(command, VideoClick(self._next_number(), (u, v), command.arrival_ns), now_ns)
         if result == BUSY:
-            self._show(Severity.WARNING, "click: too many at once", now_ns)
+            self._show(WARNING, "click: too many at once", now_ns)
         return result
 
     def _stop_tracking(self, command: _Command, now_ns: int) -> int | None:
@@ -253,7 +238,7 @@ class MavlinkCamera:
         out, now_s = list[Any](), self._monotonic_s()
         if now_ns >= self._next_beat_ns:  # paid, but never put off: without it the camera is taken for gone
             self._next_beat_ns = now_ns + BEAT_NS
-            out.append(_heartbeat())
+            out.append(self._facts.dialect.MAVLink_heartbeat_message(*CAMERA_BEAT))
             self._share.take(self._cost(out[0]), now_s)
         for waiting in (self._acknowledgements, self._out):
             while waiting and self._share.wait_s(self._cost(waiting[0]), now_s) <= 0.0:
@@ -292,12 +277,12 @@ class MavlinkCamera:
         answer = clicked.answer
         if isinstance(answer, Refusal):
             result = FAILED if answer.status in PERMANENT else BUSY
-            self._show(Severity.WARNING, words_of(answer), now_ns)
+            self._show(WARNING, words_of(answer), now_ns)
         else:
             result, self._fix = ACCEPTED, answer
-            self._put(geo_of_fix(answer, is_followed=clicked.is_followed))
+            self._put(self._facts.geo_of_fix(answer, is_followed=clicked.is_followed))
             not_followed = f"; not followed: {clicked.unfollowed}" if clicked.unfollowed else ""
-            self._show(Severity.INFO, words_of(answer) + not_followed, now_ns)
+            self._show(INFO, words_of(answer) + not_followed, now_ns)
         self._clicked = command, result
         self._acknowledge(command, result)
 
@@ -305,8 +290,8 @@ class MavlinkCamera:
         """The place of what is followed, else of what was clicked last; None without one."""
         report = self._end.followed()
         if report is not None:
-            return geo_of_track(report)
-        return None if self._fix is None else geo_of_fix(self._fix, is_followed=self._end.is_following)
+            return self._facts.geo_of_track(report)
+        return None if self._fix is None else self._facts.geo_of_fix(self._fix, is_followed=self._end.is_following)
 
     def _stream(self, now_ns: int) -> None:
         """What was asked for in intervals: what is followed, then once that it no longer is; and the view."""
@@ -325,26 +310,19 @@ class MavlinkCamera:
                     self._put(self._facts.image_status(report))
                 self._was_followed = report is not None
 
-    def _show(self, severity: Severity, text: str, now_ns: int) -> None:
+    def _show(self, severity: int, text: str, now_ns: int) -> None:
         if (text, True) != (self._shown[0], now_ns - self._shown[1] < SAME_TEXT_NS):
             self._shown = text, now_ns
             self._texts.add(severity, text)
 
     def _acknowledge(self, command: _Command, result: int) -> None:
         if len(self._acknowledgements) < MAX_OUT:
-            self._acknowledgements.append(mavlink.MAVLink_command_ack_message(
-                command.command, result, 0, 0, *command.sender
-            ))  # fmt: skip
+            acknowledgement = self._facts.dialect.MAVLink_command_ack_message
+            self._acknowledgements.append(acknowledgement(command.command, result, 0, 0, *command.sender))
 
     def _put(self, message: Any) -> None:
         if len(self._out) < MAX_OUT:
             self._out.append(message)
-
-
-def _heartbeat() -> Any:
-    return mavlink.MAVLink_heartbeat_message(
-        mavlink.MAV_TYPE_CAMERA, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, mavlink.MAV_STATE_ACTIVE, 3
-    )
 
 
 def _whole(value: float) -> int | None:
