@@ -69,6 +69,7 @@ class CameraClicks(WokenWork):
         self._asked: deque[tuple[Asked, float]] = deque()
         self._answered: deque[Answered] = deque(maxlen=MAX_ANSWERED)
         self._followed: _Followed | None = None
+        self._ended: deque[int] = deque()  # tracks that are to be ended
 
     # --- from those who have sets and reports ---
 
@@ -113,9 +114,10 @@ class CameraClicks(WokenWork):
     def stop(self) -> None:
         """Follow what was clicked no longer."""
         with self._changed:
-            followed, self._followed = self._followed, None
-        if followed is not None and self.follow is not None:
-            self.follow(parameters_of(StopTrack(followed.track)))
+            if self._followed is not None:
+                self._ended.append(self._followed.track)
+                self._followed = None
+                self._changed.notify()
 
     def followed(self) -> TrackReport | None:
         """The newest report of the thing that is followed, its ellipse as wide as the click's moment makes it; None
@@ -141,12 +143,14 @@ class CameraClicks(WokenWork):
     def _run(self, thread: SupervisedThread) -> None:
         while not thread.is_set():
             with self._changed:
-                self._changed.wait(POLL_S if self._asked else IDLE_S)
+                if not self._ended:
+                    self._changed.wait(POLL_S if self._asked else IDLE_S)
             thread.wait(min(REST * self.work(), MOST_REST_S))
 
     def work(self) -> float:
         """Answer what can be answered now. Returns the processor's time, s."""
         began_s = time.thread_time()
+        self._end_tracks()
         while (asked := self._next()) is not None:
             answered = self._clicked(asked) if isinstance(asked, VideoClick) else self._view(asked)
             with self._changed:
@@ -178,7 +182,17 @@ class CameraClicks(WokenWork):
         if not isinstance(found.answer, Fix):
             return Clicked(click.number, found.answer)
         self.stop()
+        self._end_tracks()
         return Clicked(click.number, found.answer, *self._begin(click, found, found.answer))
+
+    def _end_tracks(self) -> None:
+        """End the tracks of earlier clicks: who is asked may be an aircraft at the other end of a link."""
+        while True:
+            with self._changed:
+                if not self._ended or self.follow is None:
+                    return
+                track = self._ended.popleft()
+            self.follow(parameters_of(StopTrack(track)))
 
     def _begin(self, click: VideoClick, found: UntimedClick, fix: Fix) -> tuple[bool, str]:
         """Begin to follow what was clicked; whether it is followed now, and else why not."""

@@ -82,6 +82,7 @@ def test_a_car_that_is_clicked_in_the_late_video_is_followed_from_there_on() -> 
     assert np.linalg.norm(error_m) < geo.h_acc < 4.0
     assert abs(geo.vel_e - CAR_M_S) < 0.4 and abs(geo.vel_n) < 0.4 and math.isnan(geo.vel_d) and geo.vel_acc < 1.0
     flight.clicks.stop()
+    flight.clicks.work()
     assert flight.clicks.followed() is None and flight.tracks.answer("") == (b'{"tracks":[]}', False)
 
 
