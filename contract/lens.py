@@ -28,6 +28,8 @@ MAX_RADIUS = 3.0  # undistorted, of a pinhole with distortion: 143 degrees wide
 MAX_ANGLE = math.radians(80.0)  # off the axis of a fisheye's rays
 NEWTON_STEP = 1e-7  # normalised, at which its square is nothing
 NEWTON_STEPS = 12
+# Of a lens's derivative, the least that is divided by: a fisheye's is 0.002 where its rays end on its least slope.
+MIN_DETERMINANT = 1e-3
 SMALL_RADIUS = 1e-6  # where the quotient of an angle and its tangent is its series
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from contract.camera import Camera
 from contract.errors import InputError
-from contract.lens import FISHEYE
+from contract.lens import MIN_DETERMINANT
 from simulation.movers import Movers
 from simulation.raster import look_up
 from simulation.terrain import Terrain
@@ -73,6 +73,16 @@ class View(NamedTuple):
     lift_m: Image | None = None  # of what stands on the ground, in a world of raster
 
 
+def _by_distorted(camera: Camera, rays: Array, moved: Array) -> Array:
+    """How far rays' undistorted coordinates (..., 2) move where their distorted ones move so far (..., 2)."""
+    _, along, cross = camera.lens.linearised(rays[..., :2].reshape(-1, 2).T)
+    off = moved.reshape(-1, 2).T
+    det = along[0] * along[1] - cross * cross
+    det = np.where(np.abs(det) < MIN_DETERMINANT, MIN_DETERMINANT, det)
+    out: Array = ((along[::-1] * off - cross * off[::-1]) / det).T.reshape(moved.shape)
+    return out
+
+
 class Renderer:
     """Draws what a camera sees. Keeps the camera's rays; every picture is a function of its pose, time and seed."""
 
@@ -93,9 +103,8 @@ class Renderer:
         # Where the calibration folds back there is no ray: the lens hood, black.
         self._dark = None if valid.all() else ~valid
         self._rays_cam = rays[..., :2].astype(np.float32)
-        # A fisheye's rays are too far apart at its border to interpolate between some of them.
-        stride = 1 if terrain.has_obstacles or camera.model == FISHEYE else LATTICE_PX
-        grown = np.sqrt(np.maximum(np.abs(camera.area_gain(rays[..., :2].reshape(-1, 2))), 1e-3))
+        stride = 1 if terrain.has_obstacles else LATTICE_PX
+        grown = np.sqrt(np.maximum(np.abs(camera.area_gain(rays[..., :2].reshape(-1, 2))), MIN_DETERMINANT))
         self._pixel = (1.0 / (camera.focal_px * grown.reshape(height, width))).astype(np.float32)  # undistorted side
         self._stride = stride
         columns = np.arange(0, width - 1 + stride, stride, dtype=float)
@@ -104,7 +113,7 @@ class Renderer:
         inside = np.minimum(lattice, np.array([width - 1.0, height - 1.0]))
         edge, _ = camera.unproject(inside)
         # Rays of the lattice's last column and row, past the picture, by the slope at its edge.
-        edge[..., :2] += (lattice - inside) / np.array([camera.fx_px, camera.fy_px])
+        edge[..., :2] += _by_distorted(camera, edge, (lattice - inside) / np.array([camera.fx_px, camera.fy_px]))
         self._lattice_cam = edge
         self._lattice_map = (grid / stride).astype(np.float32)
         r2 = np.sum((grid - [(width - 1) / 2, (height - 1) / 2]) ** 2, axis=-1) / (width**2 + height**2) * 4.0

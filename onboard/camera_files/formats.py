@@ -14,7 +14,6 @@ from typing import Any
 
 from contract.camera import Camera
 from contract.errors import InputError
-from contract.lens import FISHEYE
 from onboard.camera_files.colmap import is_colmap, read_colmap
 from onboard.camera_files.document import content_of
 from onboard.camera_files.kalibr import is_kalibr, read_kalibr
@@ -91,14 +90,8 @@ class CameraFile:
 
 
 def load_camera_file(path: Path | str) -> Camera:
-    """Return the camera of a file, ours or another tool's, to fly with. Raises InputError, one line.
-
-    Also for a fisheye: tracking and measured clicks weigh its pixels as if they were a pinhole's.
-    """
-    camera = read_camera_file(path).camera
-    if camera.model == FISHEYE:
-        raise InputError(f"camera file {path}: a fisheye's; pictures of one are not tracked yet")
-    return camera
+    """Return the camera of a file, ours or another tool's. Raises InputError, one line."""
+    return read_camera_file(path).camera
 
 
 def read_camera_file(path: Path | str, size_px: Size | None = None, which: str | None = None) -> CameraFile:

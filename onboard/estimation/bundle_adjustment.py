@@ -24,6 +24,7 @@ from onboard.estimation.factors import (
     reprojection_jacobians,
 )
 from onboard.estimation.image_blocks import ImageBlock, blocks_of
+from onboard.estimation.noise_shape import rounded, shape_of
 from onboard.estimation.platform_states import PLANE
 from onboard.estimation.rolling_shutter import Sweep
 from onboard.geometry.linalg import solve_positive
@@ -60,11 +61,18 @@ class Problem:
     camera_taken: Array = field(default_factory=lambda: np.zeros(0))
     # The rows' motion, if `xy` is as rows read one after the other saw it; None: all rows at once. (18.3)
     sweep: Sweep | None = None
+    # The camera, where its pixels' noise may not be round in these coordinates: (30.4).
+    seen_by: Camera | None = None
 
     @cached_property
     def measured(self) -> Array:
         """`xy` as (K, 2, P): points run along the last axis, so that every operation is one long loop."""
         return np.ascontiguousarray(self.xy.transpose(0, 2, 1))
+
+    @cached_property
+    def shape(self) -> Array | None:
+        """`shape_of` the measurements' noise, (K, 3, P)."""
+        return shape_of(self.seen_by, self.measured)
 
     @cached_property
     def blocks(self) -> tuple[ImageBlock, ...]:
@@ -183,8 +191,9 @@ def _residuals(problem: Problem, state: State, scale: float | None) -> _Residual
     image, predicted, depth = reprojection(state.R_cam_enu, state.centres_enu_m, state.points_enu_m, problem.measured)
     moved, by_block = _moved(problem, state, predicted, depth)
     image += moved
-    squared = image[:, 0] ** 2
-    squared += image[:, 1] ** 2
+    round_image = rounded(problem.shape, image)
+    squared = round_image[:, 0] ** 2
+    squared += round_image[:, 1] ** 2
     squared *= weight
     squared *= weight
     behind = (depth <= 1e-6) & (weight > 0)
@@ -278,7 +287,8 @@ def _linearise(problem: Problem, at: _Residuals) -> _Linear:
     np.negative(A, out=J[:, 3:6])
     if at.by_block is not None:
         np.multiply(at.by_block, s[:, None, None], out=J[:, 6:])
-    r = at.image * s[:, None]
+    J, A = rounded(problem.shape, J), rounded(problem.shape, A)
+    r = rounded(problem.shape, at.image) * s[:, None]
     flat, views = J.reshape(K, -1, 2 * P), problem.columns
     U, bc = at.stiffness.copy(), at.pull.copy()
     np.add.at(U, (views[:, :, None], views[:, None]), flat @ flat.transpose(0, 2, 1))

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.camera import Camera
-from contract.lens import FISHEYE, PINHOLE
+from contract.lens import FISHEYE, MIN_DETERMINANT, PINHOLE
 from onboard.estimation.information import with_own_variance
 from onboard.estimation.platform_states import STATES
 
@@ -27,7 +27,6 @@ NUMBERS = {
     PINHOLE: ("focal_px", "cx_px", "cy_px", "k1", "k2"),
     FISHEYE: ("focal_px", "cx_px", "cy_px", "fisheye_k1", "fisheye_k2"),
 }
-MIN_DETERMINANT = 0.05  # of the distortion's Jacobian: where it folds over, nothing is measured
 
 
 def corrected(camera: Camera, states: Array) -> Camera:

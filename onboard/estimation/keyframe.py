@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.camera import Camera
+from contract.lens import MIN_DETERMINANT
 from contract.rolling_shutter import row_share
 from onboard.estimation.rolling_shutter import Moving
 from onboard.navigation.navigator import NavState
@@ -61,7 +62,7 @@ def observation(
     """Undistort pixels once, beginning at `near` (N, 2); those without a ray are left out. (18.3)"""
     rays, valid = camera.unproject(uv_px, near)
     ids, uv_px, xy = ids[valid], uv_px[valid], rays[valid, :2]
-    gain = 1.0 / (camera.focal_px * np.sqrt(np.maximum(np.abs(camera.area_gain(xy)), 0.05)))
+    gain = 1.0 / (camera.focal_px * np.sqrt(np.maximum(np.abs(camera.area_gain(xy)), MIN_DETERMINANT)))
     if moving is None:
         return Observation(camera, ids, uv_px, xy, gain, xy, np.zeros(len(xy)))
     share = np.asarray(row_share(uv_px[:, 1], camera.height_px))

@@ -8,8 +8,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from contract.camera import Camera
 from contract.rotations import exp_so3, log_so3
 from onboard.estimation.factors import reprojection, reprojection_jacobians
+from onboard.estimation.noise_shape import rounded, shape_of
 from onboard.estimation.rolling_shutter import Sweep
 from onboard.geometry.linalg import solve_small
 from onboard.geometry.robust import robust_cost
@@ -22,11 +24,15 @@ _SETTLED = np.array([1e-5] * 3 + [1e-2] * 3 + [1e-3] * 3)
 
 
 class Sighted(NamedTuple):
-    """Points (N, 3), ENU m, their normalised image coordinates (N, 2) in one view, and 1 / sigma of these (N,)."""
+    """Points (N, 3), ENU m, their normalised image coordinates (N, 2) in one view, and 1 / sigma of these (N,).
+
+    `seen_by`: the camera, where the noise may not be round in these coordinates.
+    """
 
     points_enu_m: Array
     xy: Array
     weight: Array
+    seen_by: Camera | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +89,8 @@ def _whitened(
 
     By the view (9, 2N) where its angular rate is to be found too.
     """
-    points, xy, weight = seen
+    points, xy, weight, seen_by = seen
+    shape = shape_of(seen_by, xy.T[None])
     residual, predicted, depth = reprojection(R[None], C[None], points, xy.T[None])
     by_rate = np.zeros((0, 2, len(points)))
     if sweep is not None:
@@ -92,8 +99,10 @@ def _whitened(
             by_rate = sweep.by_rate(predicted)[0]
             residual += np.einsum("rip,r->ip", by_rate, rate_off)
     ahead: Mask = depth[0] > 1e-6
+    residual = rounded(shape, residual)
     squared = np.where(ahead, (residual[0] ** 2).sum(axis=0) * weight**2, 1e6)
     s = weight * np.sqrt(robust_cost(squared, scale)[1]) * ahead
     by_rotation, by_point = reprojection_jacobians(R[None], predicted, depth, s[None])
-    A = np.concatenate([by_rotation[0], -by_point[0], by_rate * s]).reshape(6 + len(by_rate), -1)
+    by_rotation, by_point, by_rate = (rounded(shape, J) for J in (by_rotation, by_point, by_rate[None]))
+    A = np.concatenate([by_rotation[0], -by_point[0], by_rate[0] * s]).reshape(6 + by_rate.shape[1], -1)
     return A, by_point[0], (residual[0] * s).reshape(-1), np.sqrt(squared), ahead

@@ -148,6 +148,6 @@ def from_request(request: Request) -> WindowProblem | Outcome:
     priors: list[Prior] = [] if ranged is None else [ranged]
     camera = request.camera if layout.camera_states else None
     ground = reference, hold, terrain, parallax
-    unweighed = Problem(layout, raw, weight, priors, *ground, camera, request.camera_taken, rows)
+    unweighed = Problem(layout, raw, weight, priors, *ground, camera, request.camera_taken, rows, request.camera)
     state = State(R, C, points, request.platform.mean, plane, np.zeros(layout.by_picture.shape))
     return WindowProblem(request, keyframes, ids, unweighed, state)

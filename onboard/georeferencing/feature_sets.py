@@ -190,7 +190,7 @@ def _resected_view(
         rate, velocity = m.rate_cam_rad_s[None], m.velocity_enu_m_s[None]
         sweep = Sweep(solved.readout_s, share, rate, velocity, m.sigma_rate_rad_s, abs(solved.readout_s))
     begin = None if start is None else (start.R_cam_enu, start.centre_enu_m)
-    sighted = Sighted(points, seen.raw_xy[known], weight)
+    sighted = Sighted(points, seen.raw_xy[known], weight, seen.camera)
     pose: Resection = resect(sighted, guess.R_cam_enu, guess.centre_enu_m, sigma, start=begin, sweep=sweep)
     if np.count_nonzero(pose.inliers) < max(MIN_FEATURES, 0.5 * len(points)):
         return None

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from contract.camera import Camera
 from contract.rotations import skew
-from onboard.measured.views import Grey, View, pixels
+from onboard.measured.views import Grey, View, by_place, pixels
 
 Array = NDArray[np.float64]
 Values = NDArray[np.float32]
@@ -81,7 +81,7 @@ def by_inverse_depth(patch: Patch, view: View, w: float) -> tuple[Array, Array]:
     """Return derivatives of the click's pixel in a view: (2,) by inverse depth, (2, 6) by the view's pose. (29.1)"""
     q = view.R @ (patch.rays[0] - w * view.centre_m)
     x = q[:2] / q[2]
-    to_pixel = np.array([view.camera.fx_px, view.camera.fy_px])[:, None] * _by_place(view.camera, x)
+    to_pixel = by_place(view.camera, x[None])[0]
     by_q = to_pixel @ np.array([[1.0, 0.0, -x[0]], [0.0, 1.0, -x[1]]]) / q[2]
     return by_q @ (-view.R @ view.centre_m), by_q @ np.concatenate([-skew(q), -w * np.eye(3)], axis=1)
 
@@ -90,12 +90,6 @@ def by_offset(patch: Patch) -> Array:
     """x, y (225, 2) of the patch's rays from the click's."""
     by_pixel = np.stack([patch.rays[1] - patch.rays[2], patch.rays[3] - patch.rays[4]])[:, :2] / (2.0 * HALF_PX)
     return np.asarray(OFFSETS @ by_pixel, float)
-
-
-def _by_place(camera: Camera, xy: Array) -> Array:
-    """The Jacobian (2, 2) of the lens's distortion, (2.2) or (30.3)."""
-    _, along, cross = camera.lens.linearised(xy[:, None])
-    return np.array([[along[0, 0], cross[0]], [cross[0], along[1, 0]]])
 
 
 def _values(image: Grey, at: Array) -> Values:

@@ -140,7 +140,7 @@ def view_of(
             for column in (features.uv_px, features.rays, features.inverse_depth_per_m, features.relative_sigma)
         )
     )
-    solved = resect(*start, few, rays[rows, :2], camera.focal_px)
+    solved = resect(*start, few, rays[rows, :2], camera)
     if solved is None:
         return None
     R, centre, by_pixel, by_depth, sigma_px, modes = solved
@@ -150,7 +150,7 @@ def view_of(
 
 
 def resect(
-    R: Array, centre_m: Array, features: Features, xy: Array, focal_px: float
+    R: Array, centre_m: Array, features: Features, xy: Array, camera: Camera
 ) -> tuple[Array, Array, Array, Array, float, Modes] | None:
     """The pose by which features are seen at `xy` (N, 2), undistorted; its `by_feature` and `by_depth`, the pixels' one
     sigma, and what is seen of the features' modes. (29.2), (29.3), (29.12)
@@ -161,8 +161,9 @@ def resect(
     used = np.ones(len(w), bool)
     sigma_px = PRIOR_SIGMA_PX
     for _ in range(ROUNDS):
-        q, J, by_depth = linearised(R, centre_m, features, focal_px)
-        residual = focal_px * (xy - q[:, :2] / q[:, 2:])
+        q, J, by_depth = linearised(R, centre_m, features, camera)
+        predicted = q[:, :2] / q[:, 2:]
+        residual = np.einsum("nij,nj->ni", by_place(camera, predicted), xy - predicted)
         cov = s2[:, None, None] * by_depth[:, :, None] * by_depth[:, None] + sigma_px**2 * np.eye(2)
         W = np.linalg.inv(cov)
         mahalanobis = np.sqrt(np.einsum("ni,nij,nj->n", residual, W, residual))
@@ -201,20 +202,26 @@ def resect(
     return R, centre_m, by_pixel, by_log * np.sqrt(s2), sigma_px, modes
 
 
-def linearised(R: Array, centre_m: Array, features: Features, focal_px: float) -> tuple[Array, Array, Array]:
-    """Directions (N, 3) of features in a view, and how their pixels (of an undistorted picture) move: (N, 2, 6) by its
-    pose, (N, 2) by d ln w. (29.1)
+def linearised(R: Array, centre_m: Array, features: Features, camera: Camera) -> tuple[Array, Array, Array]:
+    """Directions (N, 3) of features in a view, and how their pixels move: (N, 2, 6) by its pose, (N, 2) by d ln w.
+    (29.1)
     """
     q = _seen(R, centre_m, features)
     w = features.inverse_depth_per_m
-    by_q = (
-        focal_px
-        / q[:, 2, None, None]
-        * np.concatenate([np.broadcast_to(np.eye(2), (len(q), 2, 2)), -(q[:, :2] / q[:, 2:])[:, :, None]], axis=2)
-    )
+    xy = q[:, :2] / q[:, 2:]
+    by_q = np.concatenate([np.broadcast_to(np.eye(2), (len(q), 2, 2)), -xy[:, :, None]], axis=2) / q[:, 2, None, None]
+    by_q = by_place(camera, xy) @ by_q
     by_pose = np.concatenate([-skew(q), -w[:, None, None] * np.eye(3)], axis=2)
     by_depth = -w[:, None] * (R @ centre_m)
     return q, by_q @ by_pose, np.einsum("nij,nj->ni", by_q, by_depth)
+
+
+def by_place(camera: Camera, xy: Array) -> Array:
+    """The derivative (N, 2, 2) of pixels by their undistorted coordinates (N, 2). (2.2), (30.3)"""
+    _, along, cross = camera.lens.linearised(xy.T)
+    by_undistorted = np.array([[along[0], cross], [cross, along[1]]]).transpose(2, 0, 1)
+    out: Array = by_undistorted * np.array([[camera.fx_px], [camera.fy_px]])
+    return out
 
 
 def _seen(R: Array, centre_m: Array, features: Features) -> Array:

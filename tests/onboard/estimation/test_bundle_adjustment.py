@@ -13,6 +13,7 @@ from contract.rotations import exp_so3
 from onboard.estimation.bundle_adjustment import Problem, evaluate, parallax_of, solve
 from onboard.estimation.camera_states import by_states
 from onboard.estimation.factors import Layout, State, ground_plane, reprojection
+from onboard.estimation.noise_shape import rounded
 from onboard.geometry.plane_fit import fit_plane
 from onboard.geometry.robust import robust_cost
 from simulation.study_seed import level, roll_from_plane
@@ -28,7 +29,7 @@ def residuals(problem: Problem, state: State) -> Array:
     if problem.camera is not None:
         by_camera = by_states(problem.camera, predicted[:, 0], predicted[:, 1])
         r = r - np.einsum("kcip,c->kip", by_camera, state.camera - problem.camera_taken)
-    r = r * problem.weight[:, None]
+    r = rounded(problem.shape, r) * problem.weight[:, None]
     relief = ground_plane(state.points_enu_m, problem.reference_enu_m, state.plane)[0] * problem.ground_weight
     if problem.parallax is not None:
         seen_larger = parallax_of(state.centres_enu_m, problem.reference_enu_m, state.plane) / problem.parallax
@@ -170,6 +171,8 @@ def test_errors_drawn_larger_than_believed_show_as_larger() -> None:
 UNKNOWN_LENS = replace(Camera.from_field_of_view(640, 480, 65.0), stated_sigma=(0.05, 0.02, 0.02, 0.1, 0.1))
 LENS = replace(Camera.from_field_of_view(640, 480, 40.0), stated_sigma=(2e-5, 1e-5, 1e-5, 5e-5, 5e-5))
 
+FISHEYE = Camera(640, 480, 330.0, 333.0, 322.0, 236.0, (-0.031, 0.012, -0.006, 0.0011), "fisheye", LENS.sigma)
+
 
 def with_ground_by_parallax(drawn: Drawn) -> Problem:
     """The window with the ground's weight relative to what a metre of height moves in the pictures, (5.9)."""
@@ -179,7 +182,7 @@ def with_ground_by_parallax(drawn: Drawn) -> Problem:
 
 
 @pytest.mark.parametrize("by_parallax", [False, True])
-@pytest.mark.parametrize(("lens", "grown"), [(None, 0.0), (LENS, 0.0), (LENS, 0.05)])
+@pytest.mark.parametrize(("lens", "grown"), [(None, 0.0), (LENS, 0.0), (LENS, 0.05), (FISHEYE, 0.0), (FISHEYE, 0.05)])
 def test_schur_complement_is_the_dense_problem(lens: Camera | None, grown: float, by_parallax: bool) -> None:
     """Covariance, gain of the points and their own covariance are blocks of the dense normal matrix's inverse.
 
@@ -187,7 +190,7 @@ def test_schur_complement_is_the_dense_problem(lens: Camera | None, grown: float
     """
     drawn = bundle_problem(np.random.default_rng(2), 4, 14, lens=lens)
     problem = with_ground_by_parallax(drawn) if by_parallax else drawn.problem
-    problem = replace(problem, camera_taken=problem.camera_taken - grown)
+    problem = replace(problem, camera_taken=problem.camera_taken - grown, seen_by=lens)
     s = solve(
         problem, first_guess(drawn, drawn.truth.R_cam_enu, drawn.truth.centres_enu_m), scale=None, tolerance=1e-12
     )

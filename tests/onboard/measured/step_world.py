@@ -18,6 +18,7 @@ from onboard.events.kept_pictures import Kept
 Array = NDArray[np.float64]
 
 CAMERA = Camera(320, 240, 300.0, 300.0, 159.5, 119.5)
+FISHEYE = Camera(320, 240, 150.0, 150.0, 159.5, 119.5, (-0.03, 0.01, -0.005, 0.001), "fisheye")  # 120 degrees wide
 PLACE = LocalFrame(-43.38, 172.40, 0.0)
 LOOKING_DOWN = np.diag([1.0, -1.0, -1.0])
 HEIGHT_M, STEP_M = 100.0, 6.0
@@ -41,6 +42,7 @@ class World:
     feature_sigma: float = 5e-4  # relative, of inverse depth
     pose_sigma: tuple[float, float] = (0.15, 0.001)
     seed: int = 0
+    camera: Camera = CAMERA
 
     def pose(self, number: int) -> tuple[Array, Array]:
         """R_enu_cam and centre (3,), ENU m."""
@@ -52,7 +54,7 @@ class World:
     def depths(self, number: int, uv_px: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
         """Along the axis, of pixels (..., 2); the places (..., 3) and whether they are on the roof."""
         R, centre = self.pose(number)
-        rays = CAMERA.unproject(uv_px)[0] @ R.T
+        rays = self.camera.unproject(uv_px)[0] @ R.T
         depth = -centre[2] / rays[..., 2]
         roof = (self.roof_m - centre[2]) / rays[..., 2]
         at = centre + rays * roof[..., None]
@@ -100,10 +102,10 @@ class World:
             centre = centre + rng.normal(0.0, self.pose_sigma[0], 3)
             R = exp_so3(rng.normal(0.0, self.pose_sigma[1], 3)) @ R
         lat, lon, height = (float(c) for c in PLACE.to_geodetic(centre))
-        xy = CAMERA.unproject(uv)[0][:, :2]
+        xy = self.camera.unproject(uv)[0][:, :2]
         plane = np.linalg.lstsq(np.column_stack([np.ones(len(uv)), xy]), w, rcond=None)[0]
         return FeatureSet(
-            "uav-1", 5, number, EPOCH_NS + number * 10**9, Status.OK, CAMERA, is_keyframe=number % 3 == 0,
+            "uav-1", 5, number, EPOCH_NS + number * 10**9, Status.OK, self.camera, is_keyframe=number % 3 == 0,
             camera_lat_deg=lat, camera_lon_deg=lon, camera_height_m=height, undulation_m=0.0, R_enu_cam=R,
             common_cov=np.diag([0.5, 0.5, 0.8, 2e-3, 2e-3, 4e-3, 1e-3, 1e-3, 1e-3]) ** 2,
             plane_per_m=plane, plane_sigma_relative=0.02, roughness=0.005, uv_px=uv, inverse_depth_per_m=w,

@@ -18,7 +18,7 @@ from onboard.measured.views import (
     resect,
     view_of,
 )
-from tests.onboard.measured.step_world import CAMERA, CLICKED, World
+from tests.onboard.measured.step_world import CAMERA, CLICKED, FISHEYE, World
 
 
 def some_features(rng: np.random.Generator, count: int = 60, sigma: float = 1e-3) -> Features:
@@ -35,7 +35,7 @@ def test_the_derivatives_of_a_view_are_those_of_finite_differences() -> None:
         q = (features.rays - scale * features.inverse_depth_per_m[:, None] * moved) @ turned.T
         return 300.0 * q[:, :2] / q[:, 2:]
 
-    _, by_pose, by_depth = linearised(R, centre, features, 300.0)
+    _, by_pose, by_depth = linearised(R, centre, features, CAMERA)
     for i in range(6):
         step = np.eye(6)[i] * 1e-6
         np.testing.assert_allclose(by_pose[:, :, i], (seen(step) - seen(-step)) / 2e-6, rtol=1e-5, atol=1e-4)
@@ -59,7 +59,7 @@ def test_a_pose_is_as_far_off_as_its_derivatives_by_the_features_state() -> None
             features.relative_sigma,
         )  # fmt: skip
         start = exp_so3(rng.normal(0.0, 1e-3, 3)) @ R, centre + rng.normal(0.0, 0.2, 3)
-        found = resect(*start, wrong, xy, 300.0)
+        found = resect(*start, wrong, xy, CAMERA)
         assert found is not None
         R_found, centre_found, by_pixel, by_depth, sigma_px, _ = found
         place = np.array([0.2, -0.1, 1.0])
@@ -67,7 +67,7 @@ def test_a_pose_is_as_far_off_as_its_derivatives_by_the_features_state() -> None
             [pixels(CAMERA, T @ (place - c / 100.0)) for T, c in ((R, centre), (R_found, centre_found))], axis=0
         )[0]
         point = Features(np.zeros((1, 2)), place[None], np.array([0.01]), np.zeros(1))
-        A = linearised(R_found, centre_found, point, 300.0)[1][0]
+        A = linearised(R_found, centre_found, point, CAMERA)[1][0]
         cov = A @ (np.einsum("kni,lni->kl", by_pixel, by_pixel) * sigma_px**2 + by_depth @ by_depth.T) @ A.T
         squares.append(float(off @ np.linalg.solve(cov, off)) / 2.0)
         assert sigma_px == pytest.approx(0.2, rel=0.6)
@@ -81,11 +81,11 @@ def test_a_pose_moves_with_what_the_features_have_in_common_as_it_states_and_its
     q = (features.rays - features.inverse_depth_per_m[:, None] * centre) @ R.T
     xy = q[:, :2] / q[:, 2:]
     each = np.column_stack([np.ones(60), features.rays[:, :2]])
-    plain = resect(R, centre, features, xy, 300.0)
+    plain = resect(R, centre, features, xy, CAMERA)
     assert plain is not None
     for mode, step in enumerate(1e-4 * np.eye(3)):
         wrong = replace(features, inverse_depth_per_m=features.inverse_depth_per_m * (1.0 + each @ step))
-        found = resect(R, centre, wrong, xy, 300.0)
+        found = resect(R, centre, wrong, xy, CAMERA)
         assert found is not None
         turned = found[0] @ plain[0].T
         turn = np.array([turned[2, 1], turned[0, 2], turned[1, 0]])
@@ -135,6 +135,15 @@ def test_a_pose_that_is_far_off_is_mended_as_far_as_the_sets_state_that_it_may_b
     assert found is not None and plain is not None
     assert np.abs(found.R - plain.R).max() < 5e-4
     assert view_of(clicked.image, features, other.image, other.its_set, off) is None
+
+
+def test_what_is_behind_or_beyond_a_lens_s_rays_is_far_off_the_picture() -> None:
+    """A fisheye's own equation has a pixel within the picture for every direction ahead."""
+    wide = replace(FISHEYE, fx_px=100.0)
+    off = np.radians([0.0, 60.0, 79.9, 80.1, 89.9, 95.0])
+    seen = pixels(wide, np.stack([np.sin(off), np.zeros(6), np.cos(off)], axis=1))
+    assert wide.contains(wide.pixels(np.array([np.tan(off[3]), 0.0])))
+    assert np.all(np.diff(seen[:3, 0]) > 0.0) and np.abs(seen[3:]).min() > 1e4
 
 
 def test_without_features_in_common_there_is_no_view() -> None:
