@@ -102,6 +102,7 @@ BENCHMARKS = (
     Benchmark("measured_clicks", "Clicks measured by themselves", (), ("--scenes", "down-none", "--clicks", "30")),
     Benchmark("web", "The page", (), ("--clicks", "100", "--pictures", "600")),
     Benchmark("seen", "What has been seen", ("--flights", "2"), ("--rows", "flat, straight")),
+    Benchmark("detection", "Who would have been found", (), ("--flights", "2")),
     Benchmark("fleet", "Many aircraft at one router", (), ("--aircraft", "10", "--operators", "5", "--seconds", "8")),
     Benchmark("radio", "Clicks through an autopilot's radio"),
     Benchmark("link", "What the link adds", (), ("--seconds", "1")),

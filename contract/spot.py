@@ -11,6 +11,7 @@ from contract.answer import CONFIDENCE, EXPLANATIONS, Place, rounded, time_utc
 from contract.feature_set import Status
 
 PERSON_K = 8.0  # above the ground, of a person who is looked for, as the camera sees it: through the air
+PERSON_M2 = 0.25  # large, from above
 LEAST_LIKELY = 0.01
 MOST_SPOTS = 6  # that a packet holds, with room for outlines
 

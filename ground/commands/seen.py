@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 import time
 from collections import deque
@@ -11,31 +12,37 @@ from pathlib import Path
 
 from contract.errors import InputError
 from contract.feature_set import FeatureSet
-from contract.topics import ANY_VEHICLE
+from contract.spot import SpotReport
+from contract.topics import ANY_VEHICLE, SPOTS
+from contract.wire.message import SPOT_REPORTS
 from ground.commands import ANSWERED, REFUSED
 from ground.commands.sources import add_source_arguments, opened, vehicle_of
 from ground.commands.until_ended import until_ended
-from ground.commands.values import positive
+from ground.commands.values import positive, share
 from ground.link_options import UsageError, endpoint_of, tls_of
-from ground.seen.area import read_area
+from ground.seen.area import read_sectors, read_woods
 from ground.seen.cells import LEAST_CELL_M, MOST_CELL_M
 from ground.seen.coverage import Coverage, coverage
+from ground.seen.detection import detection
 from ground.seen.export import WRITERS, time_text, write
+from ground.seen.searched import Searched, area_text, gap_dict, share_text
 from ground.seen.tally import SeenGround
 
 EXAMPLES = """\
 examples:
   pc-ground seen --from SESSION.mcap                             how much was seen, and the largest gaps
   pc-ground seen --from SESSION.mcap --polygon area.geojson --out seen.tif --out seen.geojson
+  pc-ground seen --from SESSION.mcap --pod --polygon sectors.kml --woods woods.geojson --out gaps.kml
   pc-ground seen --connect tcp/10.0.0.7:7447 --seconds 600 --cell 5 --out seen.geojson
 """
 GAPS_LISTED = 5
 REPORT_EVERY_S = 10.0
+BELOW = 0.5  # of a probability: a gap
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `seen`."""
-    parser.add_argument("--polygon", metavar="AREA.geojson", type=Path, help="the searched area (default: convex hull)")
+    parser.add_argument("--polygon", metavar="AREA", type=Path, help="searched areas, .geojson or .kml (default: hull)")
     parser.add_argument(
         "--cell", metavar="M", type=positive, help="side of a cell (default: a hundredth of the height)"
     )
@@ -50,6 +57,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seconds", metavar="S", type=positive, help="live: end so long after the first set (default: Ctrl-C)"
     )
+    parser.add_argument("--json", action="store_true", help="a JSON object instead of lines")
+    pod = parser.add_argument_group("probability of detection (docs/seen.md)")
+    pod.add_argument("--pod", action="store_true", help="who would have been found, in each area of --polygon")
+    pod.add_argument("--by", choices=("machine", "operator"), help="gaps are its (default: machine, if it searched)")
+    pod.add_argument("--below", metavar="P", type=share, help=f"a gap is below this (default {BELOW:g})")
+    pod.add_argument(
+        "--woods", metavar="WOODS.geojson", type=Path, help="areas with the share `canopy` hidden by trees"
+    )
+    pod.add_argument("--look", metavar="S", type=positive, help="an operator's time for a picture (default: till next)")
     add_source_arguments(parser)
 
 
@@ -62,25 +78,57 @@ def run(args: argparse.Namespace) -> int:
             raise UsageError(f"--out {path}: the name must end in {', '.join(sorted(WRITERS))}")
         if not path.parent.is_dir():
             raise InputError(f"--out {path}: there is no folder {path.parent}")
-    area = None if args.polygon is None else read_area(args.polygon)
-    seen = SeenGround(args.cell)
-    for found in _recorded(args) if args.recording is not None else _live(args):
+    given = [args.by, args.below, args.woods, args.look]
+    if not args.pod and any(value is not None for value in given):
+        raise UsageError("--by, --below, --woods and --look go with --pod")
+    sectors = None if args.polygon is None else read_sectors(args.polygon)
+    woods = [] if args.woods is None else read_woods(args.woods)
+    seen, reports = SeenGround(args.cell), list[SpotReport]()
+    for found in _recorded(args, reports) if args.recording is not None else _live(args, reports):
         seen.add(found)
-    shown = coverage(seen, area)
+    shown = coverage(seen, None if sectors is None else [sector.rings for sector in sectors])
+    _warn(seen)
+    if shown is None:
+        print("nothing was surely seen: no set answers, or all are too uncertain")
+        return REFUSED
+    searched = None
+    if args.pod:
+        by = detection(seen, shown, reports, woods, look_s=args.look)
+        searched = Searched.of(by, shown, sectors, args.by, BELOW if args.below is None else args.below)
+    if args.json:
+        content = to_dict(seen, shown) | ({} if searched is None else {"detection": searched.to_dict()})
+        print(json.dumps(content))
+    else:
+        print("\n".join([*summary(seen, shown), *([] if searched is None else searched.to_text())]))
+    for path in args.out:
+        write(path, seen, shown, searched)
+        if not args.json:
+            print(f"written: {path}")
+    return ANSWERED
+
+
+def _warn(seen: SeenGround) -> None:
+    """What is left out, for the error output."""
     if seen.too_large:
         print(
             f"pc-ground: warning: {seen.too_large} pictures cover too many cells: choose larger --cell", file=sys.stderr
         )
     if seen.dropped_tiles:
         print("pc-ground: warning: too large a ground: the part seen longest ago was dropped", file=sys.stderr)
-    if shown is None:
-        print("nothing was surely seen: no set answers, or all are too uncertain")
-        return REFUSED
-    print("\n".join(summary(seen, shown)))
-    for path in args.out:
-        write(path, seen, shown)
-        print(f"written: {path}")
-    return ANSWERED
+    if seen.forgotten:
+        print(f"pc-ground: warning: the first {seen.forgotten} pictures do not count for --pod", file=sys.stderr)
+
+
+def to_dict(seen: SeenGround, found: Coverage) -> dict[str, object]:
+    """Return the JSON object of what was seen."""
+    return {
+        "pictures": seen.pictures, "vehicles": sorted({vehicle for vehicle, _ in seen.sources}),
+        "first_utc": time_text(found.first_s), "last_utc": time_text(found.last_s), "cell_m": found.cells.cell_m,
+        "seen_m2": round(found.seen_m2, 1), "once_m2": round(found.once_m2, 1),
+        "gsd_m": [round(gsd, 4) for gsd in found.gsd_m], "is_hull": found.is_hull,
+        "searched_m2": round(found.searched_m2, 1), "seen_of_searched_m2": round(found.seen_of_searched_m2, 1),
+        "gaps": [gap_dict(gap) for gap in found.gaps],
+    }  # fmt: skip
 
 
 def summary(seen: SeenGround, found: Coverage) -> list[str]:
@@ -88,25 +136,26 @@ def summary(seen: SeenGround, found: Coverage) -> list[str]:
     low, middle, high = found.gsd_m
     sources = ", ".join(sorted({vehicle for vehicle, _ in seen.sources}))
     lines = [
-        f"seen: {_area(found.seen_m2)} in {seen.pictures} picture{_s(seen.pictures)} of {sources}, "
+        f"seen: {area_text(found.seen_m2)} in {seen.pictures} picture{_s(seen.pictures)} of {sources}, "
         f"{time_text(found.first_s)} to {time_text(found.last_s)}, cells of {found.cells.cell_m:g} m",
-        f"seen in one picture only: {_share(found.once_m2, found.seen_m2)}",
+        f"seen in one picture only: {share_text(found.once_m2, found.seen_m2)}",
         f"ground sample distance: {low:.3g} to {high:.3g} m, median {middle:.3g} m",
     ]
     which = "convex hull of what was seen" if found.is_hull else "as given"
-    share, count = _share(found.seen_of_searched_m2, found.searched_m2), len(found.gaps)
-    lines.append(f"searched area ({which}): {_area(found.searched_m2)}, seen {share}, {count} gap{_s(count)}")
+    share, count = share_text(found.seen_of_searched_m2, found.searched_m2), len(found.gaps)
+    lines.append(f"searched area ({which}): {area_text(found.searched_m2)}, seen {share}, {count} gap{_s(count)}")
     for number, gap in enumerate(found.gaps[:GAPS_LISTED], 1):
-        lines.append(f"gap {number}: {_area(gap.area_m2)} about {gap.lat_deg:.5f}, {gap.lon_deg:.5f}")
+        lines.append(f"gap {number}: {area_text(gap.area_m2)} about {gap.lat_deg:.5f}, {gap.lon_deg:.5f}")
     return lines
 
 
-def _recorded(args: argparse.Namespace) -> Iterator[FeatureSet]:
-    """The sets of a recording, of one vehicle or of all, each at its latest revision."""
+def _recorded(args: argparse.Namespace, reports: list[SpotReport]) -> Iterator[FeatureSet]:
+    """The sets of a recording, of one vehicle or of all, each at its latest revision; `reports` get its spots."""
     if args.seconds is not None:
         raise UsageError("--seconds is for a live aircraft")
     recording = opened(args.recording)
     vehicles = recording.vehicles if args.vehicle is None else [vehicle_of(args.vehicle, recording.vehicles)]
+    reports += recording.reports(SPOT_REPORTS, vehicles) if args.pod else []
     reported_s = time.monotonic()
     for vehicle in vehicles:
         rows = recording.rows(vehicle)
@@ -123,15 +172,27 @@ def _recorded(args: argparse.Namespace) -> Iterator[FeatureSet]:
                 yield found
 
 
-def _live(args: argparse.Namespace) -> Iterator[FeatureSet]:
-    """Yield the sets that come over the link, until a signal or the time ends it."""
+def _live(args: argparse.Namespace, reports: list[SpotReport]) -> Iterator[FeatureSet]:
+    """Yield the sets that come over the link, until a signal or the time ends it; `reports` get the spots."""
     from ground.client import SetCache  # noqa: PLC0415  zenoh is loaded only where there is a link
 
     tls = tls_of(args)
     came: deque[FeatureSet] = deque()
     vehicle = args.vehicle or ANY_VEHICLE
+
+    def take(key: str, payload: bytes) -> None:
+        reports.extend(SPOT_REPORTS.found(key, payload))
+
+    taken_by = {SPOTS.key(vehicle): take} if args.pod else {}
     with (
-        SetCache(endpoint_of(args, tls), vehicle, tls=tls, max_sets=1, on_set=lambda s, _: came.append(s)),
+        SetCache(
+            endpoint_of(args, tls),
+            vehicle,
+            tls=tls,
+            max_sets=1,
+            on_set=lambda s, _: came.append(s),
+            subscriptions=taken_by,
+        ),  # fmt: skip
         until_ended(),
     ):
         until = None
@@ -145,11 +206,3 @@ def _live(args: argparse.Namespace) -> Iterator[FeatureSet]:
 
 def _s(count: int) -> str:
     return "" if count == 1 else "s"
-
-
-def _area(m2: float) -> str:
-    return f"{m2 / 1e6:.3f} km2" if m2 >= 1e5 else f"{m2 / 1e4:.2f} ha" if m2 >= 1e3 else f"{m2:.0f} m2"
-
-
-def _share(part: float, whole: float) -> str:
-    return f"{100.0 * part / whole:.1f} %" if whole > 0.0 else "0 %"

@@ -28,6 +28,14 @@ def positive(text: str) -> float:
     return value
 
 
+def share(text: str) -> float:
+    """A number from 0 to 1."""
+    value = finite(text)
+    if not 0.0 <= value <= 1.0:
+        raise argparse.ArgumentTypeError(f"{text.strip()!r} is not from 0 to 1")
+    return value
+
+
 def age(text: str) -> float:
     """Seconds, or inf."""
     value = math.inf if text.strip() == "inf" else finite(text)

@@ -1,8 +1,10 @@
-"""The searched area from a GeoJSON file: polygons, of which the rings are taken."""
+"""The searched area and its sectors from a GeoJSON or KML file, and woods: polygons, of which the rings are taken."""
 
 from __future__ import annotations
 
 import json
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,40 +12,118 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.errors import InputError
+from contract.xml_root import xml_root
 
 Array = NDArray[np.float64]
 
 MOST_CORNERS = 100_000
+MOST_NAME = 60  # characters of a sector's
 
 
-def read_area(path: Path) -> list[Array]:
-    """Rings (K, 2) of longitude and latitude. Raises InputError, in a line, for what is no area."""
+@dataclass(frozen=True, eq=False)
+class Sector:
+    """A named part of the searched area: inside of an odd number of rings (K, 2) of longitude and latitude."""
+
+    name: str
+    rings: list[Array]
+
+
+@dataclass(frozen=True, eq=False)
+class Woods:
+    """Trees: rings as a sector's, and the share of the ground that their canopy hides from above."""
+
+    rings: list[Array]
+    canopy: float
+
+
+def read_sectors(path: Path) -> list[Sector]:
+    """The areas of a GeoJSON or KML file, each with its name, else with its number. Raises InputError, in a line."""
+    found = _read(path, "--polygon", ".kml")
+    return [Sector(_name(about) or str(number), rings) for number, (about, rings) in enumerate(found, 1)]
+
+
+def read_woods(path: Path) -> list[Woods]:
+    """The woods of a GeoJSON file, each with the property `canopy`, 0 to 1. Raises InputError, in a line."""
+    out = []
+    for number, (about, rings) in enumerate(_read(path, "--woods"), 1):
+        canopy = about.get("canopy")
+        if isinstance(canopy, bool) or not isinstance(canopy, int | float) or not 0.0 <= canopy <= 1.0:
+            raise InputError(f"--woods {path}: area {number} needs the property canopy, a share from 0 to 1")
+        out.append(Woods(rings, float(canopy)))
+    return out
+
+
+_Area = tuple[dict[str, Any], list[Array]]  # properties and rings
+
+
+def _read(path: Path, option: str, xml: str = "") -> list[_Area]:
     try:
-        content = json.loads(path.read_bytes())
+        data = path.read_bytes()
     except OSError as error:
-        raise InputError(f"--polygon {path}: {error.strerror}") from error
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"--polygon {path}: not GeoJSON ({error})") from error
+        raise InputError(f"{option} {path}: {error.strerror}") from error
     try:
-        rings = _rings(content)
+        found = _placemarks(data) if xml and path.suffix.lower() == xml else _features(_json(data))
     except InputError as error:
-        raise InputError(f"--polygon {path}: {error}") from error
-    if not rings:
-        raise InputError(f"--polygon {path}: holds no Polygon")
-    if sum(len(ring) for ring in rings) > MOST_CORNERS:
-        raise InputError(f"--polygon {path}: more than {MOST_CORNERS} corners")
-    return rings
+        raise InputError(f"{option} {path}: {error}") from error
+    found = [area for area in found if area[1]]
+    if not found:
+        raise InputError(f"{option} {path}: holds no Polygon")
+    if sum(len(ring) for _, rings in found for ring in rings) > MOST_CORNERS:
+        raise InputError(f"{option} {path}: more than {MOST_CORNERS} corners")
+    return found
+
+
+def _json(data: bytes) -> object:
+    try:
+        content: object = json.loads(data)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"not GeoJSON ({error})") from error
+    return content
+
+
+def _name(about: dict[str, Any]) -> str:
+    """The name among properties, in one line; empty if there is none."""
+    given = about.get("name")
+    return "" if given is None or isinstance(given, dict | list) else " ".join(str(given).split())[:MOST_NAME]
+
+
+def _features(content: object) -> list[_Area]:
+    """The areas of a geometry, a Feature or a FeatureCollection, by feature; what is no area is passed over."""
+    if not isinstance(content, dict):
+        raise InputError("not GeoJSON: an object is needed")
+    if content.get("type") == "FeatureCollection":
+        return [area for one in _list(content.get("features"), "features") for area in _features(one)]
+    if content.get("type") != "Feature":
+        return [({}, _rings(content))]
+    about = content.get("properties")
+    rings = [] if content.get("geometry") is None else _rings(content["geometry"])
+    return [(about if isinstance(about, dict) else {}, rings)]
+
+
+def _placemarks(data: bytes) -> list[_Area]:
+    """The areas of KML, by placemark."""
+    root = xml_root(data, "an area needs none")
+    if root.tag != "kml":
+        raise InputError(f"not KML: its root is {root.tag[:40]!r}")
+    return [
+        ({"name": place.findtext("name", "")}, [_kml_ring(ring) for ring in place.iter("LinearRing")])
+        for place in root.iter("Placemark")
+    ]
+
+
+def _kml_ring(ring: ET.Element) -> Array:
+    corners = [corner.split(",")[:2] for corner in ring.findtext("coordinates", "").split()]
+    try:
+        return _ring([[float(number) for number in corner] for corner in corners])
+    except ValueError as error:
+        raise InputError("a corner is longitude and latitude in degrees") from error
 
 
 def _rings(content: object) -> list[Array]:
-    """The rings of a geometry, a Feature or a FeatureCollection; what is no area is passed over."""
+    """The rings of a geometry; what is no area is passed over."""
     if not isinstance(content, dict):
         raise InputError("not GeoJSON: an object is needed")
     kind = content.get("type")
-    if kind == "FeatureCollection":
-        return [ring for one in _list(content.get("features"), "features") for ring in _rings(one)]
-    if kind == "Feature":
-        return [] if content.get("geometry") is None else _rings(content["geometry"])
     if kind == "GeometryCollection":
         return [ring for one in _list(content.get("geometries"), "geometries") for ring in _rings(one)]
     if kind == "Polygon":

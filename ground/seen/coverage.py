@@ -53,9 +53,18 @@ class Coverage:
         lon, lat = self.cells.lon_deg(self.column0 + ring[:, 0]), self.cells.lat_deg(self.row0 + ring[:, 1])
         return np.column_stack([lon, lat])
 
+    def from_lon_lat(self, ring: Array) -> Array:
+        """Longitude and latitude (K, 2) -> columns and rows (K, 2)."""
+        return _in_cells(self.cells, ring) - (self.column0, self.row0)
 
-def coverage(seen: SeenGround, area: Sequence[Array] | None = None) -> Coverage | None:
-    """The coverage of an area given by rings (K, 2) of longitude and latitude, or of the convex hull of what was seen.
+    @property
+    def cell_m2(self) -> Array:
+        """The area (rows,) of a cell of each row."""
+        return self.cells.area_m2(self.row0 + np.arange(len(self.seen)))
+
+
+def coverage(seen: SeenGround, area: Sequence[Sequence[Array]] | None = None) -> Coverage | None:
+    """The coverage of areas, each of rings (K, 2) of longitude and latitude, or of the convex hull of what was seen.
 
     None if nothing was seen. Raises InputError for an area of too many cells.
     """
@@ -63,13 +72,14 @@ def coverage(seen: SeenGround, area: Sequence[Array] | None = None) -> Coverage 
     tiles = [(at, tile) for at, tile in tiles if np.any(tile["count"])]
     if cells is None or not tiles:
         return None
-    rings = None if area is None else [_in_cells(cells, ring) for ring in area]
-    row0, column0, mask = _canvas(cells, [at for at, _ in tiles], rings or [])
+    areas = None if area is None else [[_in_cells(cells, ring) for ring in rings] for rings in area]
+    row0, column0, mask = _canvas(cells, [at for at, _ in tiles], [ring for rings in areas or [] for ring in rings])
     for (row, column), tile in tiles:
         y, x = row * TILE - row0, column * TILE - column0
         mask[y : y + TILE, x : x + TILE] = tile["count"] > 0
-    here = [hull(mask)] if rings is None else [ring - (column0, row0) for ring in rings]
-    searched = cells_inside(here, *mask.shape)
+    searched = cells_inside([hull(mask)] if areas is None else [], *mask.shape)
+    for rings in areas or []:
+        searched |= cells_inside([ring - (column0, row0) for ring in rings], *mask.shape)
     cell_m2 = cells.area_m2(row0 + np.arange(len(mask)))
     every = np.concatenate([tile[tile["count"] > 0] for _, tile in tiles])
     once = area_m2(cells, tiles, 1)
@@ -80,7 +90,7 @@ def coverage(seen: SeenGround, area: Sequence[Array] | None = None) -> Coverage 
         column0,
         mask,
         searched,
-        rings is None,
+        areas is None,
         float(mask.sum(axis=1) @ cell_m2),
         float(searched.sum(axis=1) @ cell_m2),
         float((searched & mask).sum(axis=1) @ cell_m2),
@@ -88,7 +98,7 @@ def coverage(seen: SeenGround, area: Sequence[Array] | None = None) -> Coverage 
         int(every["first_s"].min()),
         int(every["last_s"].max()),
         (low, middle, high),
-        _gaps(cells, row0, column0, searched & ~mask),
+        gaps(cells, row0, column0, searched & ~mask),
     )
 
 
@@ -114,8 +124,8 @@ def _canvas(cells: Cells, tiles: list[tuple[int, int]], rings: list[Array]) -> t
     return int(low[0]), int(low[1]), np.zeros((rows, columns), bool)
 
 
-def _gaps(cells: Cells, row0: int, column0: int, mask: Mask) -> list[Gap]:
-    """The connected parts of a mask."""
+def gaps(cells: Cells, row0: int, column0: int, mask: Mask) -> list[Gap]:
+    """The connected parts of a mask, the largest first."""
     out = []
     for patch in patches(mask):
         x0, y0 = patch.outer.min(axis=0).astype(int)

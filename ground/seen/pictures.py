@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -26,6 +28,14 @@ class Shown(NamedTuple):
     gsd_m: float
 
 
+class Look(NamedTuple):
+    """A picture and, when they are asked for, its cells."""
+
+    key: Key
+    capture_unix_ns: int
+    cells: Callable[[], PictureCells]
+
+
 class Pictures:
     """The last MOST_PICTURES that were added; older ones are still counted."""
 
@@ -41,6 +51,11 @@ class Pictures:
 
     def __len__(self) -> int:
         return len(self._number)
+
+    @property
+    def forgotten(self) -> int:
+        """The number of pictures that were added and are not held any more."""
+        return self._next - len(self._number)
 
     def knows(self, key: Key, capture_unix_ns: int) -> bool:
         """Return whether a picture was added, or is no newer than one that was dropped."""
@@ -76,6 +91,15 @@ class Pictures:
             out.append(Shown(*key, capture_unix_ns, gsd_m))
         return out
 
+    def looks(self) -> list[Look]:
+        """All that are held, in the order of adding."""
+        runs = self._runs[self._from : self._to]
+        ends = np.searchsorted(runs["picture"], [*self._about, self._next])
+        return [
+            Look(key, capture_unix_ns, partial(_cells, runs[low:high]))
+            for (key, capture_unix_ns), low, high in zip(self._about.values(), ends, ends[1:], strict=False)
+        ]
+
     def capture_unix_ns(self, key: Key) -> int | None:
         """The moment when a picture was taken; None if it is not among the last."""
         number = self._number.get(key)
@@ -89,6 +113,14 @@ class Pictures:
         self._dropped_ns[key[:2]] = max(capture_unix_ns, self._dropped_ns.get(key[:2], -1))
         held = self._runs["picture"][self._from : self._to]
         self._from += int(np.searchsorted(held, number, side="right"))
+
+
+def _cells(runs: NDArray[np.void]) -> PictureCells:
+    """The cells of a picture's runs."""
+    counts = runs["last"] - runs["first"] + 1
+    within = np.arange(int(counts.sum())) - np.repeat(np.cumsum(counts) - counts, counts)
+    column = np.repeat(runs["first"], counts) + within
+    return PictureCells(np.repeat(runs["row"], counts).astype(np.int64), column, np.repeat(runs["gsd_m"], counts))
 
 
 def _runs(cells: PictureCells, number: int) -> NDArray[np.void]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,7 @@ from contract.errors import InputError
 from contract.feature_set import FeatureSet
 from ground.seen.cells import LEAST_CELL_M, MOST_CELL_M, Cells
 from ground.seen.picture_cells import NO_CELLS, PictureCells, TooManyCells, picture_cells
-from ground.seen.pictures import MOST_PICTURES, Key, Pictures, Shown
+from ground.seen.pictures import MOST_PICTURES, Key, Look, Pictures, Shown
 
 Index = NDArray[np.int64]
 
@@ -110,6 +111,16 @@ class SeenGround:
             found = self.tile(at)
             if found is not None:
                 yield at, found
+
+    def looks(self) -> list[Look]:
+        """The pictures that are held, session by session, each session's in order of capture."""
+        pending = [Look(p.key, p.capture_unix_ns, partial(_same, p.cells)) for p in self._pending.values()]
+        return sorted([*self._pictures.looks(), *pending], key=lambda look: (look.key[:2], look.capture_unix_ns))
+
+    @property
+    def forgotten(self) -> int:
+        """The number of pictures that are counted, but of which no look is held any more."""
+        return self._pictures.forgotten
 
     def showing(self, lat_deg: float, lon_deg: float, most: int = MOST_PICTURES) -> list[Shown]:
         """The pictures that have seen the cell of a place, in capture order; of more than `most` evenly chosen ones."""
@@ -220,6 +231,10 @@ def area_m2(cells: Cells, tiles: Iterable[tuple[tuple[int, int], Tile]], times: 
     rows = np.arange(TILE)
     counted = ((at, tile["count"] > 0 if times is None else tile["count"] == times) for at, tile in tiles)
     return sum(float(mask.sum(axis=1) @ cells.area_m2(at[0] * TILE + rows)) for at, mask in counted)
+
+
+def _same(cells: PictureCells) -> PictureCells:
+    return cells
 
 
 def _empty(side: int = TILE) -> Tile:

@@ -10,13 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from contract.spot import PERSON_K
+from contract.spot import PERSON_K, PERSON_M2
 from onboard.spots.contrast import Contrast, contrast
 from onboard.spots.regions import LENS_PX
 
 Array = NDArray[np.float64]
 
-PERSON_M2 = 0.25  # of who is looked for; `contract.spot.PERSON_K` above the ground
 FINER = 8  # parts to the side of a pixel, of which a person's picture is made
 PLACES = 2  # to the side of a pixel, at which a person may stand in it
 SIDE_PX = 96  # of that picture

@@ -16,7 +16,7 @@ from contract.camera import Camera
 from contract.errors import ConfigError, InputError
 from contract.fleet import Fleet, read_fleet
 from ground.formats.documents import read_pins_of
-from ground.seen.area import read_area
+from ground.seen.area import read_sectors
 from onboard.config.schema import parse_config
 from onboard.estimation.boresight import Alignment
 from onboard.events.types import PositionFix
@@ -95,7 +95,7 @@ def _fed(name: str, text: str, path: Path) -> None:
         "alignment.json": lambda: Alignment(0.02, 0.1, 20.0, 0.1, 0.03, camera=CAMERA).restore(text),
         "fleet.toml": lambda: read_fleet(path),
         "config.toml": lambda: parse_config(text),
-        "area.geojson": lambda: read_area(path),
+        "area.geojson": lambda: read_sectors(path),
         "a.srt": lambda: _read_log(path),
         "log.csv": lambda: _read_log(path),
         "geo.txt": lambda: read_geo(path),

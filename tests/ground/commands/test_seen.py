@@ -10,7 +10,11 @@ import numpy as np
 import pytest
 import rasterio
 
+from contract.spot import SpotReport
+from contract.topics import SPOTS
+from contract.wire.spot_code import encode_spots
 from ground.__main__ import main
+from ground.seen.area import read_sectors
 from onboard.storage.mcap_writer import SessionRecorder
 from tests.ground.seen.levels import CAMERA, CAPTURE_NS, HEIGHT_M, PLACE, level_set
 
@@ -128,7 +132,7 @@ def test_an_area_that_is_none_is_one_line(
         (["--out", "x.png"], "must end in"), (["--out", "/nowhere/x.tif"], "no folder"),
         (["--cell", "0.001"], "--cell"),
         (["--polygon", "/nowhere.geojson"], "No such file"), (["--vehicle", "kite"], "no vehicle"),
-        (["--seconds", "3"], "live"),
+        (["--seconds", "3"], "live"), (["--below", "0.9"], "--pod"),
     ],
 )  # fmt: skip
 def test_wrong_usage_is_one_line(
@@ -137,6 +141,95 @@ def test_wrong_usage_is_one_line(
     assert main(["seen", "--from", str(session), *words]) == 2
     err = capsys.readouterr().err
     assert err.count("\n") == 1 and complaint in err
+
+
+@pytest.fixture(scope="module")
+def sectors(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """The ground of the first pictures as sector "A & B", and as much of it next to it, which no picture shows."""
+    folder = tmp_path_factory.mktemp("sectors")
+    features, marks = [], []
+    for name, east in (("A & B", 0.0), (4, -80.0)):
+        corners = [
+            (east - 20.0, -20.0, 0.0),
+            (east + 20.0, -20.0, 0.0),
+            (east + 20.0, 20.0, 0.0),
+            (east - 20.0, 20.0, 0.0),
+        ]
+        ring = PLACE.to_geodetic(corners)[[0, 1, 2, 3, 0]][:, [1, 0]].tolist()
+        geometry = {"type": "Polygon", "coordinates": [ring]}
+        features.append({"type": "Feature", "properties": {"name": name, "canopy": 0.5}, "geometry": geometry})
+        places = " ".join(f"{lon},{lat},0" for lon, lat in ring)
+        ring_text = f"<LinearRing><coordinates>{places}</coordinates></LinearRing>"
+        polygon = f"<Polygon><outerBoundaryIs>{ring_text}</outerBoundaryIs></Polygon>"
+        marks.append(f"<Placemark><name>{str(name).replace('&', '&amp;')}</name>{polygon}</Placemark>")
+    (folder / "s.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+    kml = f'<kml xmlns="http://www.opengis.net/kml/2.2"><Document>{"".join(marks)}</Document></kml>'
+    (folder / "s.kml").write_text(kml)
+    return {kind: folder / f"s.{kind}" for kind in ("geojson", "kml")}
+
+
+@pytest.fixture(scope="module")
+def thermal(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Four looks at one place, in each of which a person would stand out with 0.95."""
+    path = tmp_path_factory.mktemp("thermal") / "session.mcap"
+    with SessionRecorder(path, "uav") as out:
+        for s in (level_set(frame) for frame in range(4)):
+            out.write_set(s)
+            report = SpotReport(s.session, s.frame, s.capture_unix_ns, True, vehicle="uav", person_found=0.95)
+            out.write_report(SPOTS, s.capture_unix_ns, encode_spots(report))
+    return path
+
+
+@pytest.mark.parametrize("kind", ["geojson", "kml"])
+def test_each_sector_has_its_probability_of_detection(
+    thermal: Path, sectors: dict[str, Path], kind: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ("--from", thermal, "--cell", 1, "--polygon", sectors[kind], "--pod", "--look", 60)
+    lines = printed(capsys, *words).splitlines()
+    assert "4 of 4 pictures" in lines[-6]
+    assert lines[-5] == "POD 0.85 (0.85 to 0.95) by machine in sector A & B, 0 m2 left below 0.5"
+    assert lines[-3].startswith("POD 0.00 (0.00 to 0.00) by machine in sector 4, 0.1")
+    content = json.loads(printed(capsys, *words, "--json", "--below", 0.9, "--by", "operator"))["detection"]
+    seen, unseen = content["sectors"]
+    assert (content["by"], content["below"], content["searched_pictures"]) == ("operator", 0.9, 4)
+    assert seen["machine"]["pod"] == pytest.approx(0.85, abs=0.01) and unseen["operator"]["high"] == 0.0
+    assert seen["below_m2"] == {"machine": pytest.approx(1600.0, rel=0.05), "operator": 0.0}
+    assert sum(gap["area_m2"] for gap in content["gaps"]) == pytest.approx(1600.0, rel=0.05)
+
+
+def test_gaps_of_detection_are_exported_and_trees_make_more_of_them(
+    thermal: Path, sectors: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    to = [tmp_path / f"gaps.{kind}" for kind in ("geojson", "kml", "tif")]
+    outs = [word for path in to for word in ("--out", path)]
+    words = ("--from", thermal, "--cell", 1, "--polygon", sectors["kml"], "--pod")
+    printed(capsys, *words, *outs)
+    (gap,) = by_kind(to[0])["undetected"]
+    assert gap["properties"]["by"] == "machine" and gap["properties"]["area_m2"] == pytest.approx(1600.0, rel=0.05)
+    (again,) = read_sectors(to[1])
+    assert again.name == "gap 1"
+    assert again.rings[0] == pytest.approx(np.array(gap["geometry"]["coordinates"][0][0][:-1]), abs=1e-7)
+    with rasterio.open(to[2]) as raster:
+        seen, gap_there = raster.sample(PLACE.to_geodetic([(0.0, 0.0, 0.0), (-80.0, 0.0, 0.0)])[:, [1, 0]].tolist())
+        assert raster.count == 6 and seen[4] == pytest.approx(0.85, abs=0.01) and 0.0 < seen[5] < 1.0
+        assert gap_there[4:].tolist() == [0.0, 0.0]
+    lines = printed(capsys, *words, "--woods", sectors["geojson"])
+    assert "POD 0.42 (0.42 to 0.47) by machine in sector A & B" in lines and "0.16 ha left" in lines
+
+
+def test_without_a_thermal_search_the_operator_alone_counts(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lines = printed(capsys, "--from", session, "--cell", 1, "--pod")
+    assert "no picture of a calibrated thermal camera" in lines and "by machine" not in lines
+    assert "by operator in the searched area" in lines
+
+
+def test_woods_without_a_canopy_are_refused(
+    session: Path, sectors: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    woods = tmp_path / "woods.geojson"
+    woods.write_text(sectors["geojson"].read_text().replace('"canopy": 0.5', '"canopy": 1.5'))
+    assert main(["seen", "--from", str(session), "--pod", "--woods", str(woods)]) == 2
+    assert "canopy" in capsys.readouterr().err
 
 
 def test_a_session_that_answers_nowhere_has_seen_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,0 +1,130 @@
+"""Who would have been found: what looks, passes, aircraft, distance and trees make of it; and what was not searched."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from contract.feature_set import FeatureSet
+from contract.spot import SpotReport
+from ground.seen.area import Woods
+from ground.seen.coverage import Coverage, coverage
+from ground.seen.detection import Detection, detection, final_probability, searched_for, sector_detection
+from ground.seen.tally import SeenGround
+from tests.ground.seen.levels import PLACE, level_set
+
+RING_M = np.array([(-15.0, -15.0), (15.0, -15.0), (15.0, 15.0), (-15.0, 15.0)])  # in every picture below
+
+
+def report_of(s: FeatureSet, share: float | None, late_ns: int = 0) -> SpotReport:
+    return SpotReport(s.session, s.frame, s.capture_unix_ns + late_ns, True, vehicle=s.vehicle, person_found=share)
+
+
+def ring(east_m: float = 0.0) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+    corners = PLACE.to_geodetic(np.column_stack([RING_M + (east_m, 0.0), np.zeros(4)]))
+    return np.asarray(corners[:, [1, 0]])
+
+
+def searched(
+    sets: Sequence[FeatureSet], reports: Sequence[SpotReport], **options: object
+) -> tuple[Coverage, Detection]:
+    seen = SeenGround(5.0)
+    for s in sets:
+        seen.add(s)
+    shown = coverage(seen)
+    assert shown is not None
+    return shown, detection(seen, shown, reports, **options)  # type: ignore[arg-type]
+
+
+def machine(shares: Sequence[float | None], at_s: Sequence[float] | None = None, **about: object) -> list[float]:
+    """Stated, lowest, highest at PLACE after looks that would show a person with these probabilities."""
+    sets = [level_set(k, at_s=None if at_s is None else at_s[k], **about) for k in range(len(shares))]  # type: ignore[arg-type]
+    shown, by = searched(sets, [report_of(s, share) for s, share in zip(sets, shares, strict=True)])
+    assert by.machine is not None
+    row, column = shown.cells.at(PLACE.lat_deg, PLACE.lon_deg)
+    return [float(p) for p in by.machine[:, int(row) - shown.row0, int(column) - shown.column0]]
+
+
+@pytest.mark.parametrize(
+    ("shares", "stated", "highest"),
+    [
+        ([1.0], 0.0, 0.0), ([1.0, 1.0], 0.0, 0.0),  # a spot is reported in two of three, a thing listed in two reports
+        ([1.0, 1.0, 1.0], 1.0, 1.0), ([0.9, 0.9, 0.9], 0.7, 0.9), ([0.5] * 3, 0.0, 0.5),
+        ([0.5] * 20, 0.0, 0.5),  # the twentieth look of one pass finds whom the first one cannot
+        ([0.9, 0.2, 0.9, 0.9], 0.6, 0.9), ([1.0, None, 1.0, 1.0], 1.0, 1.0), ([1.0, None, None, 1.0, 1.0], 0.0, 0.0),
+    ],
+)  # fmt: skip
+def test_looks_of_one_pass_count_at_most_as_their_best(shares: list[float], stated: float, highest: float) -> None:
+    assert machine(shares) == pytest.approx([stated, stated, highest])
+
+
+def test_passes_raise_what_may_be_and_not_what_is_stated() -> None:
+    once, twice = machine([0.9] * 3), machine([0.9] * 6, [0.0, 1.0, 2.0, 300.0, 301.0, 302.0])
+    assert twice[:2] == pytest.approx(once[:2])
+    assert twice[2] == pytest.approx(1.0 - 0.1**2)
+
+
+@given(st.lists(st.floats(0.0, 1.0), min_size=3, max_size=6))
+def test_no_dependence_between_looks_undercuts_what_is_stated(shares: list[float]) -> None:
+    """The worst: misses that exclude each other as far as they can, so that as few looks as possible find the same."""
+    misses = np.cumsum([0.0, *(1.0 - np.array(shares))])
+    people = (np.arange(2000) + 0.5) / 2000.0
+    seen = np.array([~(((people - low) % 1.0) < high - low) for low, high in itertools.pairwise(misses)])
+    before = np.concatenate([np.zeros((2, len(people)), bool), seen])
+    reports = seen & (before[1:-1] | before[:-2])
+    assert machine(shares)[0] <= np.mean(reports.sum(axis=0) >= 2) + 0.01
+
+
+def test_another_aircraft_and_a_second_camera_are_no_looks_of_the_same() -> None:
+    sets = [level_set(k, vehicle=f"uav-{k}") for k in range(3)]
+    _, by = searched(sets, [report_of(s, 1.0) for s in sets])
+    assert by.machine is not None and by.machine.max() == 0.0
+    same = [level_set(k) for k in range(3)]
+    _, by = searched(same, [report_of(s, 1.0, late_ns=5) for s in same])
+    assert by.machine is None and (by.searched, by.strangers) == (0, 3)
+
+
+def test_half_of_observers_detect_a_person_of_one_line_pair_and_time_is_given_by_their_looks() -> None:
+    stated, low, high = final_probability(np.array([0.05, 0.25, 0.4, 2.0]))
+    assert stated[1] == pytest.approx(0.5) and high[1] > 0.6 and low[1] < 0.4
+    assert np.all(np.diff(stated) < 0.0) and stated[0] > 0.999 and stated[-1] < 1e-2
+    assert final_probability(0.25 / 1.25)[1] == pytest.approx(0.5)
+    assert searched_for(stated, stated * 1e6) == pytest.approx(stated)
+    assert searched_for(np.ones(1), np.array([3.4])) == pytest.approx(1.0 - np.exp(-1.0))
+
+
+def test_an_operator_needs_time_and_trees_hide_from_both() -> None:
+    sets = [level_set(k) for k in range(3)]
+    reports = [report_of(s, 1.0) for s in sets]
+
+    def sector(**options: object) -> tuple[float, float]:
+        shown, by = searched(sets, reports, **options)
+        found = sector_detection("4", [ring()], shown, by, 0.5)
+        assert found.machine is not None and found.area_m2 == pytest.approx(900.0, rel=0.1)
+        return found.machine[0], found.operator[0]
+
+    hasty, thorough = sector(look_s=0.2), sector(look_s=60.0)
+    assert hasty[0] == thorough[0] == 1.0 and hasty[1] < 0.2 and thorough[1] > 0.9
+    below_trees = sector(look_s=60.0, woods=[Woods([ring()], 0.75), Woods([ring()], 0.5)])
+    assert below_trees == pytest.approx((0.25, 0.25 * thorough[1]))
+
+
+def test_what_was_not_seen_counts_in_a_sector_as_not_found() -> None:
+    sets = [level_set(k) for k in range(3)]
+    seen = SeenGround(1.0)
+    for s in sets:
+        seen.add(s)
+    next_to = ring(1000.0)
+    shown = coverage(seen, [[ring()], [next_to]])
+    assert shown is not None
+    by = detection(seen, shown, [report_of(s, 1.0) for s in sets])
+    whole, half, none = (
+        sector_detection("", rings, shown, by, 0.5) for rings in ([ring()], [ring(), next_to], [next_to])
+    )
+    assert [s.machine and s.machine[0] for s in (whole, half, none)] == pytest.approx([1.0, 0.5, 0.0], abs=0.02)
+    assert [s.below_m2["machine"] for s in (whole, half, none)] == pytest.approx([0.0, 900.0, 900.0], rel=0.05, abs=30)
