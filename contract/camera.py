@@ -40,7 +40,7 @@ ABOUT = (
     *("sigma", "verdict", "views", "reprojection_rms_px", "distortion_model", "worst_direction_sigma_px"),
     "from_flight",
 )
-ALL_SIGMAS = (*SIGMA_KEYS, "fy", "p1", "p2", "k3")
+ALL_SIGMAS = (*SIGMA_KEYS, "fy", "p1", "p2", "k3", "k4")
 # Of what a lens without a fisheye's projection can be: 157 to 0.3 degrees wide; pixels up to twice as wide as high.
 FOCAL_SHARES = (0.1, 200.0)  # of the picture's longer side
 MAX_ASPECT = 2.0

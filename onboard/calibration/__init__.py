@@ -3,6 +3,6 @@
 Public:
 
 - `board`: `Board`, `Grey`
-- `intrinsics`: `Fit`, `PARAMETERS`, `View`, `calibrate`
+- `intrinsics`: `Fit`, `View`, `calibrate`
 - `verdict`: `RAY_SIGMA_SHARE`, `Verdict`, `bare_places`, `coverage_picture`, `judge`, `report`
 """

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.calibration.intrinsics import PARAMETERS, Fit, View, rayless_share
+from onboard.calibration.intrinsics import Fit, View, rayless_share
 
 CELLS = (6, 4)
 LEAST_VIEWS = 8
@@ -118,12 +118,10 @@ def judge(fit: Fit | None, dropped: list[View], size_px: tuple[int, int], found:
 def report(fit: Fit, dropped: list[View]) -> str:
     """The numbers, a line each."""
     camera = fit.camera
-    k1, k2, p1, p2, k3 = camera.distortion
-    values = dict(
-        zip(PARAMETERS, (camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, k1, k2, p1, p2, k3), strict=True)
-    )
-    lines = [f"distortion model: {fit.model.name}"]
-    for name in PARAMETERS:
+    names = fit.model.parameters
+    values = dict(zip(names, (camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, *camera.distortion), strict=True))
+    lines = [f"lens: {fit.why}"] * bool(fit.why) + [f"distortion model: {fit.model.name}"]
+    for name in names:
         unit, digits = (" px", 3) if name[0] in "fc" else ("", 5)
         held = name[0] not in "fc" and name not in fit.model.name.split()
         lines.append(f"{name:<3} {values[name]:>11.{digits}f}{unit}" + (

@@ -20,7 +20,7 @@ from contract.camera import Camera
 from contract.errors import ConfigError, InputError
 from contract.supervised_thread import Policy, SupervisedThread
 from onboard.calibration.board import Board, Grey
-from onboard.calibration.intrinsics import PARAMETERS, Fit, View, calibrate
+from onboard.calibration.intrinsics import Fit, View, calibrate
 from onboard.calibration.verdict import Verdict, bare_places, coverage_picture, judge, report
 from onboard.camera.factory import open_device
 from onboard.camera.picture_files import PICTURE_SUFFIXES, read_grey
@@ -105,7 +105,7 @@ def camera_file(fit: Fit, verdict: Verdict) -> str:
         "reprojection_rms_px": round(fit.rms_px, 4),
         "distortion_model": fit.model.name,
         "worst_direction_sigma_px": round(float(fit.ray_sigma_px.max()), 4),
-        "sigma": {name: float(f"{fit.sigmas[name]:.3g}") for name in PARAMETERS},
+        "sigma": {name: float(f"{fit.sigmas[name]:.3g}") for name in fit.model.parameters},
     }
     return json.dumps(known, indent=1) + "\n"
 

@@ -61,6 +61,9 @@ def run(arguments: argparse.Namespace) -> int:
     cameras = [fit.camera for _, fit, _ in fits]
     if len({camera.size_px for camera in cameras}) > 1:
         raise ConfigError("calibrate: the pictures of all zoom positions must have the same size")
+    if len({camera.model for camera in cameras}) > 1:
+        models = ", ".join(f"{position:g} a {fit.camera.model}" for position, fit, _ in fits)
+        raise ConfigError(f"calibrate: a zoom table is of one lens model, and at zoom {models} fits best")
     known = json.loads(camera_file(fits[0][1], fits[0][2]))
     known["zoom"] = _table(unit, [position for position, _, _ in fits], cameras, out).to_json()
     widest = cameras[0]

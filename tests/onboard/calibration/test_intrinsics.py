@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import cv2
@@ -14,9 +15,9 @@ from PIL import Image
 from contract.camera import Camera
 from onboard.__main__ import main
 from onboard.calibration.board import Board
-from onboard.calibration.intrinsics import MODELS, PARAMETERS, Model, View, calibrate, fit
+from onboard.calibration.intrinsics import MODELS, Model, View, calibrate, fit
 from onboard.calibration.verdict import coverage_picture, judge
-from onboard.commands.calibrate import Collector
+from onboard.commands.calibrate import Collector, camera_file
 from tests.onboard.calibration.board_pictures import Photographer, Pose, poses_all_over
 
 TRUTH = Camera(640, 480, 560.0, 558.0, 322.3, 236.1, (-0.28, 0.09, 0.0008, -0.0005, 0.0))
@@ -99,7 +100,10 @@ def test_sigmas_are_what_the_errors_are() -> None:
         c = fitted.camera
         found = (c.fx_px, c.fy_px, c.cx_px, c.cy_px, *c.distortion)
         scores.append(
-            [(f - t) / fitted.sigmas[n] for n, f, t in zip(PARAMETERS[:8], found[:8], truth[:8], strict=True)]
+            [
+                (f - t) / fitted.sigmas[n]
+                for n, f, t in zip(fitted.model.parameters[:8], found[:8], truth[:8], strict=True)
+            ]
         )
         sigmas_px.append(fitted.ray_sigma_px.max())
     rms = np.sqrt(np.mean(np.square(scores), axis=0))
@@ -206,6 +210,61 @@ def test_a_lens_whose_distortion_folds_is_refused() -> None:
     assert any("folds within the picture" in text for text in judge(*result, (640, 480), 18).complaints)
 
 
+@pytest.mark.parametrize("wide_deg", [105.0, pytest.param(150.0, marks=pytest.mark.long)])
+def test_a_fisheye_is_chosen_by_held_out_views_and_recovered(wide_deg: float, tmp_path: Path) -> None:
+    f = 0.5 * 640 / np.radians(0.5 * wide_deg)
+    truth = Camera(640, 480, f, 1.002 * f, 322.3, 236.1, (-0.02, 0.008, -0.004, 0.0008), "fisheye")
+    views = [view for view in seen(poses_all_around(24, 5), camera=truth) if len(view.numbers) >= 8]
+    result = calibrate(views, (640, 480))
+    assert result is not None
+    fitted, dropped = result
+    assert fitted.camera.model == "fisheye" and not dropped and fitted.rms_px < 0.1
+    assert re.match(r"fisheye: views held out are 0\.\d\d px off a fisheye's fit and \d+\.\d\d off", fitted.why)
+    assert abs(fitted.camera.fx_px / f - 1.0) < 4.0 * fitted.sigmas["fx"] / f < 0.012
+    grid = np.stack(np.meshgrid(np.linspace(60, 580, 9), np.linspace(40, 440, 7)), axis=-1).reshape(-1, 2)
+    rays, valid = truth.unproject(grid)
+    assert np.linalg.norm(fitted.camera.project(rays)[0] - grid, axis=1)[valid].max() < 1.5
+    verdict = judge(fitted, dropped, (640, 480), len(views))
+    (tmp_path / "camera.json").write_text(camera_file(fitted, verdict))
+    assert Camera.from_json(tmp_path / "camera.json").model == "fisheye"
+
+
+@pytest.mark.long
+def test_photographs_of_boards_through_120_degrees_make_a_camera_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    f = 640 / np.radians(120.0)
+    truth = Camera(640, 480, f, f, 322.3, 236.1, (-0.02, 0.008, -0.004, 0.0008), "fisheye")
+    pictures, out, photographer = tmp_path / "pictures", tmp_path / "camera.json", Photographer(truth, CHARUCO)
+    pictures.mkdir()
+    for number, pose in enumerate(poses_all_around(24, 5, lean_rad=0.25)):
+        Image.fromarray(photographer.photograph(pose)).save(pictures / f"{number:02d}.png", compress_level=1)
+    assert main(["calibrate", "--pictures", str(pictures), "--out", str(out)]) == 0
+    camera, text = Camera.from_json(out), capsys.readouterr().out
+    assert camera.model == "fisheye" and camera.fx_px == pytest.approx(f, rel=0.005)
+    assert "lens: fisheye: views held out are" in text and "verdict: good" in text
+
+
+def poses_all_around(count: int, seed: int, lean_rad: float = 0.35) -> list[Pose]:
+    """Boards in all directions up to 70 degrees off the axis, each about facing the camera and leaning."""
+    rng, poses = np.random.default_rng(seed), []
+    for number in range(count):
+        off, about = np.radians(70.0) * np.sqrt((number % 6 + 0.5) / 6.0), 2.4 * number
+        direction = np.array([np.sin(off) * np.cos(about), np.sin(off) * np.sin(about), np.cos(off)])
+        facing = np.cross([0.0, 0.0, 1.0], direction)
+        turn = facing / max(float(np.linalg.norm(facing)), 1e-9) * off * 0.8 + rng.normal(0.0, lean_rad, 3)
+        x, y, z = direction * rng.uniform(0.25, 0.4)
+        poses.append(Pose((float(turn[0]), float(turn[1]), float(turn[2])), (float(x), float(y), float(z))))
+    return poses
+
+
+def test_a_wide_pinhole_stays_one() -> None:
+    camera = Camera(640, 480, 300.0, 301.0, 320.0, 240.0, (-0.05, 0.004, 0.0, 0.0, 0.0))
+    result = calibrate(seen(poses_all_over(18, 2, distance_m=0.18), camera=camera), (640, 480))
+    assert result is not None and result[0].camera.model == "pinhole"
+    assert result[0].why.startswith("pinhole: views held out are")
+
+
 def test_boards_in_the_middle_only_are_never_good_and_leave_a_ray_at_every_pixel() -> None:
     poses = [Pose(p.turn_rad, (0.0, 0.0, 0.9)) for p in poses_all_over(12, 4)]
     edge = np.array([(0.0, 0.0), (639.0, 0.0), (0.0, 479.0), (639.0, 479.0), (320.0, 0.0)])
@@ -221,7 +280,7 @@ def test_every_model_is_its_parameters() -> None:
         *("none", "p1 p2", "k1", "k1 p1 p2", "k1 k2", "k1 k2 p1 p2", "k1 k2 k3", "k1 k2 k3 p1 p2"),
     ]
     for model in MODELS:
-        free = {PARAMETERS[column] for column in model.columns} - {"fx", "fy", "cx", "cy"}
+        free = {model.parameters[column] for column in model.columns} - {"fx", "fy", "cx", "cy"}
         assert free == set(model.name.split()) - {"none"}
 
 
