@@ -10,12 +10,14 @@ from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
 
+from contract.camera import Camera
 from contract.errors import InputError
 from contract.feature_set import FeatureSet
 from contract.spot import SpotReport
 from contract.topics import ANY_VEHICLE, SPOTS
 from contract.wire.message import SPOT_REPORTS
 from ground.commands import ANSWERED, REFUSED
+from ground.commands.saving import save
 from ground.commands.sources import add_source_arguments, opened, vehicle_of
 from ground.commands.until_ended import until_ended
 from ground.commands.values import positive, share
@@ -25,6 +27,8 @@ from ground.seen.cells import LEAST_CELL_M, MOST_CELL_M
 from ground.seen.coverage import Coverage, coverage
 from ground.seen.detection import detection
 from ground.seen.export import WRITERS, time_text, write
+from ground.seen.flight_rows import flight_rows, machine_gsd_m, operator_gsd_m
+from ground.seen.missions import FORMATS
 from ground.seen.searched import Searched, area_text, gap_dict, share_text
 from ground.seen.tally import SeenGround
 
@@ -33,11 +37,13 @@ examples:
   pc-ground seen --from SESSION.mcap                             how much was seen, and the largest gaps
   pc-ground seen --from SESSION.mcap --polygon area.geojson --out seen.tif --out seen.geojson
   pc-ground seen --from SESSION.mcap --pod --polygon sectors.kml --woods woods.geojson --out gaps.kml
+  pc-ground seen --from SESSION.mcap --pod --below 0.8 --fly gaps.plan --fly gaps.waypoints --overlap 0.3
   pc-ground seen --connect tcp/10.0.0.7:7447 --seconds 600 --cell 5 --out seen.geojson
 """
 GAPS_LISTED = 5
 REPORT_EVERY_S = 10.0
 BELOW = 0.5  # of a probability: a gap
+OVERLAP, MOST_OVERLAP = 0.3, 0.9
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -66,26 +72,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--woods", metavar="WOODS.geojson", type=Path, help="areas with the share `canopy` hidden by trees"
     )
     pod.add_argument("--look", metavar="S", type=positive, help="an operator's time for a picture (default: till next)")
+    fly = parser.add_argument_group("gaps as something to fly, with --pod")
+    fly.add_argument("--fly", metavar="FILE", type=Path, action="append", default=[], help=", ".join(sorted(FORMATS)))
+    fly.add_argument("--height", metavar="M", type=positive, help="above the ground (default: what --below needs)")
+    fly.add_argument("--overlap", metavar="P", type=share, help=f"of neighbouring rows (default {OVERLAP:g})")
     add_source_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Count, print the summary and write the files. Raises PointclickError."""
-    if args.cell is not None and not LEAST_CELL_M <= args.cell <= MOST_CELL_M:
-        raise UsageError(f"--cell must be from {LEAST_CELL_M:g} to {MOST_CELL_M:g} m")
-    for path in args.out:
-        if path.suffix.lower() not in WRITERS:
-            raise UsageError(f"--out {path}: the name must end in {', '.join(sorted(WRITERS))}")
-        if not path.parent.is_dir():
-            raise InputError(f"--out {path}: there is no folder {path.parent}")
-    given = [args.by, args.below, args.woods, args.look]
-    if not args.pod and any(value is not None for value in given):
-        raise UsageError("--by, --below, --woods and --look go with --pod")
+    _check(args)
     sectors = None if args.polygon is None else read_sectors(args.polygon)
     woods = [] if args.woods is None else read_woods(args.woods)
-    seen, reports = SeenGround(args.cell), list[SpotReport]()
+    seen, reports, newest = SeenGround(args.cell), list[SpotReport](), None
     for found in _recorded(args, reports) if args.recording is not None else _live(args, reports):
         seen.add(found)
+        if found.is_ok and (newest is None or found.capture_unix_ns > newest.capture_unix_ns):
+            newest = found
     shown = coverage(seen, None if sectors is None else [sector.rings for sector in sectors])
     _warn(seen)
     if shown is None:
@@ -104,7 +107,47 @@ def run(args: argparse.Namespace) -> int:
         write(path, seen, shown, searched)
         if not args.json:
             print(f"written: {path}")
+    if args.fly and searched is not None and newest is not None:
+        _write_rows(args, searched, shown, newest.camera)
     return ANSWERED
+
+
+def _check(args: argparse.Namespace) -> None:
+    """Raise UsageError for options that need another one or cannot be, InputError for files that cannot be written."""
+    if args.cell is not None and not LEAST_CELL_M <= args.cell <= MOST_CELL_M:
+        raise UsageError(f"--cell must be from {LEAST_CELL_M:g} to {MOST_CELL_M:g} m")
+    for path in args.out:
+        if path.suffix.lower() not in WRITERS:
+            raise UsageError(f"--out {path}: the name must end in {', '.join(sorted(WRITERS))}")
+        if not path.parent.is_dir():
+            raise InputError(f"--out {path}: there is no folder {path.parent}")
+    given = [args.by, args.below, args.woods, args.look, args.height, args.overlap, args.fly or None]
+    if not args.pod and any(value is not None for value in given):
+        raise UsageError("--by, --below, --woods, --look, --fly, --height and --overlap go with --pod")
+    if args.overlap is not None and args.overlap > MOST_OVERLAP:
+        raise UsageError(f"--overlap is at most {MOST_OVERLAP:g}")
+    for path in args.fly:
+        if path.suffix.lower() not in FORMATS:
+            raise UsageError(f"--fly {path}: the name must end in {', '.join(sorted(FORMATS))}")
+        if not path.parent.is_dir():
+            raise InputError(f"--fly {path}: there is no folder {path.parent}")
+
+
+def _write_rows(args: argparse.Namespace, searched: Searched, shown: Coverage, camera: Camera) -> None:
+    """The gaps as files to fly, for the camera that took the newest picture. Raises InputError."""
+    height_m = args.height
+    if height_m is None and searched.who == "machine":
+        height_m = camera.fx_px * machine_gsd_m(searched.below, searched.detection.shares)
+    elif height_m is None:
+        height_m = camera.fx_px * operator_gsd_m(searched.below, camera, args.look)
+    overlap = OVERLAP if args.overlap is None else args.overlap
+    rows = flight_rows(searched.gaps, shown, camera, height_m, overlap)
+    if not args.json:
+        print(rows.to_text())
+    for path in args.fly:
+        save(path, FORMATS[path.suffix.lower()](rows))
+        if not args.json:
+            print(f"written: {path}")
 
 
 def _warn(seen: SeenGround) -> None:

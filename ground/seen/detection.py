@@ -50,6 +50,7 @@ class Detection:
     pictures: int
     searched: int
     strangers: int
+    shares: Sequence[tuple[float, float]] = ()  # of each picture that was searched: median sample distance (m), share
 
     def of(self, who: str) -> Array | None:
         """The probabilities by `machine` or `operator`."""
@@ -135,8 +136,7 @@ def final_probability(gsd_m: Array | float) -> Array:
     """
     cycles = 0.5 * PERSON_M / np.asarray(gsd_m, float)
     x = cycles / HALF_CYCLES.reshape(3, *[1] * cycles.ndim)
-    power = x ** (2.7 + 0.7 * x)
-    return np.asarray(power / (1.0 + power))
+    return np.asarray(1.0 / (1.0 + x ** -(2.7 + 0.7 * x)))
 
 
 def searched_for(final: Array, final_s: Array) -> Array:
@@ -171,7 +171,7 @@ def detection(
     machine, final, final_s = _Machine(n), np.zeros((3, n)), np.zeros((3, n))
     looks = seen.looks()
     session: tuple[str, int] | None = None
-    searched = set[Key]()
+    searched, shares = set[Key](), list[tuple[float, float]]()
     for (key, capture_unix_ns, cells_of), duration_s in zip(looks, _seconds(looks, look_s), strict=True):
         cells = cells_of()
         inside = _numbers(number, over, cells)
@@ -186,6 +186,8 @@ def detection(
         found = numbered.get((*key, capture_unix_ns))
         if found is not None:
             searched.add(key)
+            if len(at):
+                shares.append((float(np.median(cells.gsd_m)), found[1]))
             machine.look(_Searched(found[0], at, found[1]), capture_unix_ns)
     open_share = 1.0 - _canopy(over, woods)[over.seen]
     by_operator = searched_for(final, final_s)
@@ -195,6 +197,7 @@ def detection(
         len(looks),
         len(searched),
         len(numbered) - len(searched),
+        shares,
     )
 
 

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import json
+import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import rasterio
+from pymavlink import mavwp
 
 from contract.spot import SpotReport
 from contract.topics import SPOTS
 from contract.wire.spot_code import encode_spots
 from ground.__main__ import main
 from ground.seen.area import read_sectors
+from ground.seen.coverage import coverage
+from ground.seen.tally import SeenGround
 from onboard.storage.mcap_writer import SessionRecorder
 from tests.ground.seen.levels import CAMERA, CAPTURE_NS, HEIGHT_M, PLACE, level_set
 
@@ -133,6 +137,7 @@ def test_an_area_that_is_none_is_one_line(
         (["--cell", "0.001"], "--cell"),
         (["--polygon", "/nowhere.geojson"], "No such file"), (["--vehicle", "kite"], "no vehicle"),
         (["--seconds", "3"], "live"), (["--below", "0.9"], "--pod"),
+        (["--pod", "--fly", "x.txt"], "must end in"), (["--fly", "x.plan"], "--pod"),
     ],
 )  # fmt: skip
 def test_wrong_usage_is_one_line(
@@ -230,6 +235,67 @@ def test_woods_without_a_canopy_are_refused(
     woods.write_text(sectors["geojson"].read_text().replace('"canopy": 0.5', '"canopy": 1.5'))
     assert main(["seen", "--from", str(session), "--pod", "--woods", str(woods)]) == 2
     assert "canopy" in capsys.readouterr().err
+
+
+def test_rows_over_the_gaps_close_them_and_others_read_their_files(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = {kind: tmp_path / f"gaps.{kind}" for kind in ("plan", "waypoints", "kml")}
+    words = ("--from", session, "--cell", 1, "--pod", "--look", 60, "--height", HEIGHT_M)
+    lines = printed(capsys, *words, *(word for path in files.values() for word in ("--fly", path)))
+    assert "to fly: 2 rows, 61 m apart, 120 m above the ground, at 10 m/s\n" in lines
+    plan = json.loads(files["plan"].read_text())
+    assert (plan["fileType"], plan["version"], plan["mission"]["version"]) == ("Plan", 1, 2)
+    items = plan["mission"]["items"]
+    assert [item["doJumpId"] for item in items] == [1, 2, 3, 4]
+    assert all((item["command"], item["frame"], item["params"][:4]) == (16, 3, [0, 0, 0, None]) for item in items)
+    points = np.array([item["params"][4:] for item in items])
+    assert np.all(points[:, 2] == HEIGHT_M)
+    loader = mavwp.MAVWPLoader()
+    assert loader.load(str(files["waypoints"])) == 5
+    read = [loader.wp(k) for k in range(5)]
+    assert [(w.seq, w.current, w.frame, w.command, w.autocontinue) for w in read] == [
+        (0, 1, 0, 16, 1), *((k, 0, 3, 16, 1) for k in range(1, 5))
+    ]  # fmt: skip
+    assert np.array([(w.x, w.y, w.z) for w in read[1:]]) == pytest.approx(points, abs=1e-7)
+    line = ET.parse(files["kml"]).find(".//{*}LineString/{*}coordinates")
+    assert line is not None and line.text is not None
+    corners = np.array([[float(number) for number in corner.split(",")] for corner in line.text.split()])
+    assert corners == pytest.approx(points[:, [1, 0, 2]], abs=1e-7)
+    seen = SeenGround(1.0)
+    for frame, east in enumerate((0.0, APART_M, 2.0 * APART_M)):
+        seen.add(level_set(frame, east_m=east))
+    before = coverage(seen)
+    ends = PLACE.to_enu(points[:, 0], points[:, 1], np.zeros(4))[:, :2].reshape(2, 2, 2)
+    looks = [start + step * (end - start) for start, end in ends for step in np.linspace(0.0, 1.0, 6)]
+    for frame, (east, north) in enumerate(looks, 10):
+        seen.add(level_set(frame, east_m=float(east), north_m=float(north)))
+    after = coverage(seen, [[before.lon_lat(gap.patch.outer)] for gap in before.gaps]) if before else None
+    assert after is not None and after.seen_of_searched_m2 > 0.98 * after.searched_m2
+
+
+@pytest.mark.parametrize(
+    ("words", "at_m", "complaint"),
+    [
+        (["--below", "0.8"], HEIGHT_M, ""),  # looked at from there it was enough
+        (["--below", "0.9"], None, "choose --height"),
+        (["--by", "operator", "--below", "0.9", "--look", "60"], (40.0, 160.0), ""),
+        (["--by", "operator", "--below", "0.99", "--look", "1"], None, "longer --look"),
+        (["--below", "0.8", "--height", "50", "--overlap", "0.6"], 50.0, ""),
+    ],
+)
+def test_the_height_is_what_the_wanted_probability_needs(
+    thermal: Path, sectors: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str],
+    words: list[str], at_m: float | tuple[float, float] | None, complaint: str,
+) -> None:  # fmt: skip
+    to = tmp_path / "gaps.plan"
+    command = ["seen", "--from", str(thermal), "--polygon", str(sectors["kml"]), "--pod", "--fly", str(to), *words]
+    assert main(command) == (2 if complaint else 0)
+    assert complaint in capsys.readouterr().err
+    if at_m is not None:
+        low, high = at_m if isinstance(at_m, tuple) else (at_m - 0.1, at_m + 0.1)
+        heights = {item["Altitude"] for item in json.loads(to.read_text())["mission"]["items"]}
+        assert len(heights) == 1 and low <= heights.pop() <= high
 
 
 def test_a_session_that_answers_nowhere_has_seen_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
