@@ -27,7 +27,7 @@ MACHINE_LOOKS = 3  # of a place, for a person to be listed
 class FlightRows:
     """Points to fly (N, 2), latitude and longitude, two for each row, straight down; heights above the ground.
 
-    `left_out` gaps are not flown over, as there are too many points; the largest are.
+    `left_out` gaps have no rows, as there would be too many points; the largest have.
     """
 
     points_deg: Array
@@ -77,7 +77,7 @@ def machine_gsd_m(wanted: float, searched: Sequence[tuple[float, float]]) -> flo
 def flight_rows(gaps: Sequence[Gap], over: Coverage, camera: Camera, height_m: float, overlap: float) -> FlightRows:
     """Rows over gaps for a camera that looks straight down, its picture's width across the way. (23.15)
 
-    Each gap is flown along its longer axis, the nearest end of the rest comes next. Raises InputError without a gap.
+    The rows of a gap follow its longer axis; next comes the gap with the nearest end. Raises InputError without a gap.
     """
     if not gaps:
         raise InputError("there is no gap to fly over")
