@@ -12,7 +12,8 @@ from typing import Any
 import pytest
 
 from tests.left_out import NO_TIME
-from tests.submission import CHANGED_BEGIN_WITHIN_S, VARIABLE, Choice, history
+from tests.submission import BEGAN_VARIABLE as SUBMISSION_BEGAN_VARIABLE
+from tests.submission import VARIABLE, Choice, history
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 BEGAN_VARIABLE = "POINTCLICK_LONG_BEGAN"
@@ -59,7 +60,10 @@ class ChosenLongTests(LongTests):
         super().__init__(config, "make test-long ALL=1")
         self._choice = choice or Choice(history())
         os.environ.setdefault(BEGAN_VARIABLE, str(time.time()))  # once a run: workers inherit it
-        self._began_s = float(os.environ[BEGAN_VARIABLE])
+        submission = os.environ.get(SUBMISSION_BEGAN_VARIABLE)
+        self._last_s = self._choice.last_begin_s(
+            float(os.environ[BEGAN_VARIABLE]), float(submission) if submission else None
+        )
 
     @pytest.hookimpl(trylast=True)
     def pytest_collection_modifyitems(self, config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -75,7 +79,7 @@ class ChosenLongTests(LongTests):
         )
 
     def pytest_runtest_setup(self, item: pytest.Item) -> None:
-        is_late = time.time() - self._began_s > CHANGED_BEGIN_WITHIN_S
+        is_late = time.time() > self._last_s
         if is_late and item.get_closest_marker("long") and not self._choice.is_in_third(item.nodeid.partition("@")[0]):
             pytest.skip(NO_TIME)
 

@@ -30,6 +30,14 @@ CHANGED_BEGIN_WITHIN_S = 900.0
 
 The third has no such bound. A change of everything asks for half an hour of tests, and a submission has to end.
 """
+BEGAN_VARIABLE = "POINTCLICK_SUBMISSION_BEGAN"
+"""The environment's variable with the time (s, POSIX) at which .ci/run began: then they begin as its end allows."""
+SUBMISSION_S = 1800.0
+"""The time that a submission may take from its beginning to its end, s."""
+PART_S = {"bench": 420.0, "arm64": 330.0}
+"""The time that is kept for what runs after the long tests, s."""
+LAST_LONG_S = 120.0
+"""The time that is kept for the long tests that are still running when the last may begin, s."""
 
 REAL_MACHINES = (
     "packaging", "onboard/camera", "onboard/service", "onboard/link", "systemd", "requirements.lock", "pyproject.toml",
@@ -155,6 +163,13 @@ class Choice:
             for path in self.history.changed
         )
 
+    def last_begin_s(self, run_began_s: float, submission_began_s: float | None = None) -> float:
+        """Return the time (s, POSIX) until which a long test begins that is chosen for a change alone."""
+        if submission_began_s is None:
+            return run_began_s + CHANGED_BEGIN_WITHIN_S
+        kept_s = sum(seconds for part, seconds in PART_S.items() if self.runs(part))
+        return submission_began_s + SUBMISSION_S - kept_s - LAST_LONG_S
+
     def asks_for(self, part: str) -> list[str]:
         """Return the changed paths that ask for `bench` or `arm64`."""
         return sorted(p for p in self.history.changed if is_within(p, CHOSEN_BY[part])) if self.history else []
@@ -173,7 +188,8 @@ class Choice:
         words = [
             f"long tests: third {self.third} of 0 to {THIRDS - 1}, as commit {self.history.count} has it, and all of "
             f"{len(changed)} files whose packages changed ({self.history.since}); those that have not begun "
-            f"{CHANGED_BEGIN_WITHIN_S / 60.0:.0f} minutes into the run are left out by name",
+            f"{CHANGED_BEGIN_WITHIN_S / 60.0:.0f} minutes into the run, or in .ci/run in time for its end after "
+            f"{SUBMISSION_S / 60.0:.0f} minutes, are left out by name",
             *(f"  {file}" for file in changed),
             f"LEFT OUT: two thirds of the long tests of {len(rest)} files whose packages did not change:",
             *(f"  {file}" for file in rest),

@@ -62,6 +62,7 @@ def sets(simulated: Leg) -> list[FeatureSet]:
     return sets_of(simulated, 40)
 
 
+@pytest.mark.long
 def test_a_leg_simulated_out_and_back_is_one_consistent_flight(simulated: Leg) -> None:
     """Stamps never go back, and positions move as their own velocities say, on every pass."""
     events = list(out_and_back(simulated, 3 * FRAMES_A_PASS))
@@ -92,6 +93,7 @@ def test_tracking_is_compared_with_three_ways_of_raw_flow(simulated: Leg) -> Non
     assert len(re.findall(r"goal 1\.6\): (NOT )?reached; \d+ tracks", output)) == 2
 
 
+@pytest.mark.long
 def test_the_pipeline_counts_pictures_sets_and_memory(simulated: Leg) -> None:
     run = pipeline.fly(simulated, 3 * FRAMES_A_PASS)
     assert run.frames == 3 * FRAMES_A_PASS
@@ -215,6 +217,7 @@ def test_a_set_is_written_and_read_in_less_than_zlib_and_json_take() -> None:
         assert 0.05 < min(taken[way, 0]) / min(taken[way, 1]) < wire.GOAL_RATIO, way
 
 
+@pytest.mark.long
 def test_clicks_are_taken_from_memory_a_recording_and_a_peer(sets: list[FeatureSet]) -> None:
     output = click.report(sets[:4], recorded=12, clicks=20, runs=1)
     for case in ("seen before", "recording of 12 sets", "live peer, that picture", "live peer, newest"):

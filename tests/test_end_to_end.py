@@ -332,6 +332,7 @@ def demo(out: Path, *arguments: object) -> dict[str, list[float]]:
     return printed
 
 
+@pytest.mark.long  # short: clicks land where they should, below
 def test_a_demo_of_eight_seconds_answers_every_click_within_its_99_percent(tmp_path: Path) -> None:
     printed = demo(tmp_path / "demo", "--seconds", 8)
     of_99_percent = float(np.sqrt(CHI2_99 / CHI2_90))  # radii, of that of 90 %

@@ -445,8 +445,8 @@ def test_every_extra_for_users_is_tried() -> None:
     assert set(USES) == extras() - {"dev"}
 
 
-# What an aircraft and what an operator installs; the others are small, and of `make test-long`.
-@pytest.mark.parametrize("extra", rest_long(["onboard", "open", *sorted(set(USES) - {"onboard", "open"})], 2))
+# What an operator installs; the others are of `make test-long`, and of a submission that changes what is installed.
+@pytest.mark.parametrize("extra", rest_long(["open", *sorted(set(USES) - {"open"})]))
 def test_an_extra_installed_alone_does_its_work(extra: str, environment: Path, tmp_path: Path) -> None:
     USES[extra](laid_over(environment, extra, tmp_path / "venv"), tmp_path)
 

@@ -14,7 +14,6 @@ import pytest
 
 from tests.conftest import may_be_chosen
 from tests.costly_first import COSTLY_FIRST
-from tests.rest_long import rest_long
 
 ROOT = Path(__file__).resolve().parents[1]
 PARALLEL = "-n 3 --dist loadgroup --no-loadscope-reorder --durations=30"
@@ -97,8 +96,15 @@ def test_a_submission_runs_long_tests_bench_and_packages_and_each_may_fail_it(
     ids=["all by turns", "ALL", "args"],
 )
 def test_the_long_run_chooses_but_where_all_or_some_are_asked_for(words: str, chosen: str) -> None:
+    env = {k: v for k, v in os.environ.items() if k not in ("MAKEFLAGS", "MAKEOVERRIDES", "PYTEST_ARGS")}
     shown = subprocess.run(
-        ["make", "-n", "test-long", *words.split()], cwd=ROOT, capture_output=True, text=True, check=True, timeout=30
+        ["make", "-n", "test-long", *words.split()],
+        env=env,
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=30,
     ).stdout
     assert f"export POINTCLICK_LONG={chosen};" in shown
 
@@ -126,7 +132,8 @@ def without_long_tests(workers: int) -> str:
     return done.stdout
 
 
-@pytest.mark.parametrize("workers", rest_long([2, 0]))
+@pytest.mark.long
+@pytest.mark.parametrize("workers", [2, 0])
 def test_a_run_names_the_files_whose_long_tests_it_leaves_out(workers: int) -> None:
     assert "LONG TESTS LEFT OUT" in without_long_tests(workers)
     assert "test_fusion.py: 6" in without_long_tests(workers)

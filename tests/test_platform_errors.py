@@ -85,13 +85,14 @@ def test_a_lever_arm_that_is_not_known_leaves_itself() -> None:
     assert body_bias_m(True) - body_bias_m(False) == pytest.approx(np.array(LEVER_M), abs=0.05)
 
 
+@pytest.mark.long  # short: stamps that are far off, tests/onboard/foreign_clock
 @pytest.mark.parametrize(
     ("path", "seconds", "after_s", "delay_s"),
     [
         pytest.param(PathSpec(), 24.0, 4.0, 0.15, id="late-straight"),
-        pytest.param(PathSpec(), 24.0, 4.0, -0.15, id="early-straight", marks=pytest.mark.long),
-        pytest.param(TURNS, 60.0, 38.0, 0.15, id="late-after turns", marks=pytest.mark.long),
-        pytest.param(TURNS, 60.0, 38.0, -0.15, id="early-after turns", marks=pytest.mark.long),
+        pytest.param(PathSpec(), 24.0, 4.0, -0.15, id="early-straight"),
+        pytest.param(TURNS, 60.0, 38.0, 0.15, id="late-after turns"),
+        pytest.param(TURNS, 60.0, 38.0, -0.15, id="early-after turns"),
     ],
 )
 def test_a_delay_is_covered_by_the_ellipse(path: PathSpec, seconds: float, after_s: float, delay_s: float) -> None:

@@ -7,9 +7,10 @@ from pathlib import Path
 import pytest
 
 from tests.fuzz.payloads import Fuzz
+from tests.rest_long import rest_long
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", rest_long([1, 2]))
 def test_damaged_inputs_are_read_or_refused_as_promised(seed: int, tmp_path: Path) -> None:
     result = Fuzz(seed, tmp_path).run(6000)
     assert result.count == 6000

@@ -57,10 +57,13 @@ CLEAR = {"blur of 2", "blur of 20", "blur of 2, large", "blur of 20, large", "10
 OPEN = {"blur of 12, large", "JPEG of quality 5"}
 # As others that a filter or a lens softens: the bilateral one, 40 px of motion, and a blur of 12 without JPEG.
 SOFTENED = {"median filter", "blur of 4", "blurred, then JPEG"}
+# As the bilateral filter, and dirt on the lens, hide a part of what there is.
+COVERED = {"JPEG of quality 20", "fog"}
 # As half of it in pictures half as large.
 SCALED = {"blur of 8, large"}
 NAMES = [
-    pytest.param(name, marks=pytest.mark.long) if name in CLEAR | OPEN | SOFTENED | SCALED else name for name in CASES
+    pytest.param(name, marks=pytest.mark.long) if name in CLEAR | OPEN | SOFTENED | SCALED | COVERED else name
+    for name in CASES
 ]
 # One that is answered and one that is refused: the kinds differ in what they do to a picture, which the flights spoilt
 # for a third show too.

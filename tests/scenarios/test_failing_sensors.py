@@ -88,6 +88,7 @@ def _simulated(fault: str, is_full: bool) -> Outcome:
 OF_EACH = [name if name == "velocity" else pytest.param(name, marks=pytest.mark.long) for name in FAULTS]
 
 
+@pytest.mark.long  # short: the sensor is named, above
 @pytest.mark.parametrize("fault", OF_EACH)
 def test_answers_go_on_and_are_as_honest_as_claimed(fault: str) -> None:
     outcome = simulated(fault, True)
@@ -169,6 +170,7 @@ def test_a_mount_that_is_off_from_the_start_of_level_flight_is_allowed_for_or_re
     assert semi_m or "attitude or mount is off by more than can be" in pipeline.summary.refused_windows
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("fault", OF_EACH)
 def test_the_full_set_is_never_worse_than_camera_and_gps(fault: str) -> None:
     """But for what one draw makes of two medians."""

@@ -26,7 +26,6 @@ from onboard.telemetry.telemetry_log import TelemetryLog
 from simulation.flight import DescribedSpec
 from simulation.paths import PathSpec
 from simulation.session import SessionSpec
-from tests.rest_long import rest_long
 from tests.scenarios.flights import Outcome, _Sets, click, simulated
 
 WIDE = Camera.from_field_of_view(320, 240, 70.0)
@@ -98,7 +97,8 @@ LEANS: dict[str, tuple[float, float, Lean]] = {
 }
 
 
-@pytest.mark.parametrize("lean", rest_long(LEANS))
+@pytest.mark.long  # short: its summary, below
+@pytest.mark.parametrize("lean", LEANS)
 def test_auto_solves_no_fewer_pictures_than_always_where_the_gimbal_tells_the_truth(lean: str) -> None:
     speed, height, leaning = LEANS[lean]
     folder = survey(speed, height)

@@ -27,7 +27,6 @@ from onboard.events.types import Event, Frame, PositionFix
 from onboard.pipeline.pipeline import Pipeline
 from onboard.replay.runner import Flight
 from simulation.paths import PathSpec
-from tests.rest_long import rest_long
 
 MOVED = {Status.STABILISED, Status.ZOOMED}
 CHI_SQUARE_90 = 4.605  # of two degrees of freedom
@@ -126,7 +125,8 @@ def test_stabilised_video_is_refused_as_such_while_it_hides_a_turn() -> None:
     assert decode(encode(refused)).status is Status.STABILISED
 
 
-@pytest.mark.parametrize("fault", rest_long(["wrong lens", "tilt-jump", "compass-flip", "none"]))
+@pytest.mark.long
+@pytest.mark.parametrize("fault", ["wrong lens", "tilt-jump", "compass-flip", "none"])
 def test_other_faults_are_not_taken_for_moved_optics(fault: str) -> None:
     found = simulated(recorded("plane_turn", 12.0, 26.0, **FAULTS[fault]))
     assert not MOVED & set(found.statuses), found.statuses

@@ -87,6 +87,7 @@ def test_a_global_shutter_publishes_no_rows() -> None:
     assert all(s.shutter is None for s in sets.values())
 
 
+@pytest.mark.long  # short: a recorded turn whose rows are read in turn
 def test_rendered_rows_are_tracked_and_answered_as_truth_says() -> None:
     """Pictures rendered row by row, twice as slow as is usual, through the real tracker in turns of 20 degrees/s."""
     session = simulated_session(RENDERED)

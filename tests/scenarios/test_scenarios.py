@@ -113,7 +113,8 @@ TABLE: dict[str, list[Scenario]] = {
                  over("stripes", CROPS, row_spacing_m=0.6), refused(REPETITIVE)),
         # Answered, it was 140 to 340 m off.
         Scenario("stripes of which nothing specifies by how many rows they moved are repetitive",
-                 over("stripes", replace(LARGE, rate_hz=1.0)), refused(REPETITIVE), config=(NO_ATTITUDE, LEVEL_GROUND)),
+                 over("stripes", replace(LARGE, rate_hz=1.0)), refused(REPETITIVE), config=(NO_ATTITUDE, LEVEL_GROUND),
+                 long="finer rows, above"),
         Scenario("so they are at three pictures a second", over("stripes", replace(LARGE, rate_hz=3.0)),
                  refused(REPETITIVE), config=(NO_ATTITUDE, LEVEL_GROUND), long="the row above"),
         Scenario("crop rows that two pictures a second pass three at a time are repetitive",
@@ -126,14 +127,14 @@ TABLE: dict[str, list[Scenario]] = {
         Scenario("lorries on 5 % of the ground do not pull it along", over("traffic"), SOLVED),
         # With nearly all of the tracks: the scene moves with them.
         Scenario("a convoy on a fifth of the ground is not taken for it", over("traffic", LARGE, vehicle_spacing_m=16),
-                 refused(POOR_FIT)),
+                 refused(POOR_FIT), long="lorries on 5 %, above"),
         Scenario("another convoy is not taken for the ground", over("traffic", LARGE, seed=7, vehicle_spacing_m=16),
                  refused(POOR_FIT), long="the row above"),
         Scenario("a tenth of the contrast is featureless or holds", replace(LEG, texture=TextureSpec(contrast=0.1)),
                  either(FEATURELESS, POOR_FIT), long="a plain, above, and a third, below"),
         Scenario("a third of the contrast is enough", replace(LEG, texture=TextureSpec(contrast=0.35)), SOLVED),
         Scenario("an exposure that hunts by 3.5 between pictures is solved",
-                 replace(LEG, sensor=SensorSpec(exposure_swing=3.5)), SOLVED),
+                 replace(LEG, sensor=SensorSpec(exposure_swing=3.5)), SOLVED, long="a third of the contrast, above"),
         Scenario("a pixel of motion blur is solved", replace(LEG, sensor=SensorSpec(exposure_s=0.03)), SOLVED,
                  long="by more: test_degraded_pictures.py"),
         Scenario("three pixels of motion blur are solved", replace(LEG, sensor=SensorSpec(exposure_s=0.08)), SOLVED,
@@ -189,7 +190,8 @@ TABLE: dict[str, list[Scenario]] = {
                  radius_of=Scenario("with attitude", LEG, SOLVED, config=(LEVEL_GROUND,)), radius=(1.0, 1e9)),
         # Nothing shows roll: the pictures have sets, whose ellipses are too long.
         Scenario("without attitude over ground that may slope it is solved and too wide to answer", SILENT_ATTITUDE,
-                 Expected(solved=(0.7, 1.0), may_refuse_all=True, refused_clicks={Status.UNCERTAIN: 0.9})),
+                 Expected(solved=(0.7, 1.0), may_refuse_all=True, refused_clicks={Status.UNCERTAIN: 0.9}),
+                 long="the row above"),
         # A delay is a shift along the path.
         Scenario("declared stamps 0.3 s late widen and hold", replace(LEG, camera_delay_s=0.3), solved(median_m=10.0),
                  config=(("camera.sigma_latency_s", 0.3),), long="tests/test_platform_errors.py"),
@@ -200,13 +202,13 @@ TABLE: dict[str, list[Scenario]] = {
             # Sampled with the preset: 1, positions twice a second and 0.06 s ahead; 3, 0.07 s ahead and a compass up to
             # 2.6 degrees off; 8, a followed glitch of 21 m; 12, positions 0.22 s behind.
             Scenario(f"the errors of ordinary autopilot {seed} in {seconds:.0f} s are inside what is claimed",
-                     ordinary_turns(seed, seconds), ORDINARY, long="" if seconds < 45.0 else "autopilot 1 in 30 s")
+                     ordinary_turns(seed, seconds), ORDINARY, long="recorded autopilots: test_recorded_autopilots.py")
             for seed, seconds in ((1, 30.0), (1, 45.0), (3, 45.0), (8, 45.0), (12, 45.0))
         ),
         *(
             Scenario(f"declared stamps cut to the second are answered with a radius that holds, survey {seed}",
                      photographs(seed), Expected(solved=(0.85, 1.0), median_m=5.0, semi_m=(0.0, 15.0)),
-                     spoilt=cut_to_the_second, config=WHOLE_SECONDS, long="" if seed == 0 else "survey 0")
+                     spoilt=cut_to_the_second, config=WHOLE_SECONDS, long="photographs: test_import_photos.py")
             for seed in (0, 1)
         ),
         *(
@@ -220,7 +222,7 @@ TABLE: dict[str, list[Scenario]] = {
     "slow pictures": [
         *(
             Scenario(f"pictures {apart_s:g} s apart are solved", apart(apart_s, count), ANSWERS,
-                     long="" if apart_s == 10.0 else "10 s apart")
+                     long="" if apart_s == 3.0 else "3 s apart")
             for apart_s, count in ((10.0, 12), (3.04, 12), (1.0, 14), (0.1, 120), (3.0, 12), (5.0, 12))
         ),
         Scenario("36 % of a picture in common is enough", apart(10.0, speed_m_s=20.0), ANSWERS,
@@ -237,7 +239,7 @@ TABLE: dict[str, list[Scenario]] = {
         # No window may hold two of them.
         Scenario("a fix lost between any two pictures is an outage", apart(10.0),
                  unsolved("GPS was lost or doubted between 11 of 11 pairs"),
-                 telemetry=without_fix(lambda t: 2.0 < t % 10.0 < 3.5)),
+                 telemetry=without_fix(lambda t: 2.0 < t % 10.0 < 3.5), long="three seconds without a fix, above"),
         Scenario("pictures 13 s apart are too far, though slow enough to see the same ground",
                  apart(13.0, speed_m_s=6.0), unsolved("pictures 13.0 s apart, at most 12.0; take"),
                  long="without overlap, test_slow_pictures.py"),

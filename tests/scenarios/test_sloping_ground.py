@@ -43,6 +43,7 @@ def simulated(slope: str) -> tuple[Array, Array, SlopePrior]:
 OF_EACH = rest_long(["east", "level", "north-west"])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("slope", OF_EACH)
 def test_the_ellipse_of_99_percent_holds_a_slope_of_ten_degrees(slope: str) -> None:
     chi2, semi_m, _ = simulated(slope)

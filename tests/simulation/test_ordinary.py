@@ -124,6 +124,7 @@ def test_position_lags_along_the_track_and_velocity_by_less(
     assert slope(a, messages.velocity_m_s) == pytest.approx(-velocity_s, abs=0.003)
 
 
+@pytest.mark.long
 def test_level_is_trimmed_wrong_and_tilts_with_acceleration(tmp_path: Path) -> None:
     messages = reported(tmp_path, AutopilotErrors(trim_deg=(0.9, -1.2), tilt_per_m_s2_deg=(0.05, -0.04)))
     right = np.stack([np.cos(messages.heading_rad), -np.sin(messages.heading_rad)], axis=1)
@@ -184,6 +185,7 @@ def test_the_filter_follows_a_glitch_and_comes_back(tmp_path: Path) -> None:
     assert stated == pytest.approx(0.3 * 20.0 / 2.0 * np.exp(-1.0), abs=0.1)
 
 
+@pytest.mark.long
 def test_position_drifts_as_sampled(tmp_path: Path) -> None:
     messages = reported(
         tmp_path, AutopilotErrors(), "straight", 900.0, slow_horizontal_m=2.0, slow_time_constant_s=5.0, attitude_hz=1.0

@@ -163,6 +163,7 @@ def test_the_page_shows_the_newest_picture_that_came_and_clicks_it_as_itself(
         craft.publisher.close()
 
 
+@pytest.mark.long  # short: tests/ground/pins/test_sharing.py
 def test_two_servers_share_pins_and_say_so(serve: Callable[..., Server], chromium: Any, tmp_path: Path) -> None:
     endpoint = free_endpoint()
     first = serve("--share-listen", endpoint, pins="first.sqlite")
@@ -188,6 +189,7 @@ def test_two_servers_share_pins_and_say_so(serve: Callable[..., Server], chromiu
         assert len(store.pins()) == 1
 
 
+@pytest.mark.long
 def test_an_endpoint_in_use_is_one_line(serve: Callable[..., Server]) -> None:
     endpoint = free_endpoint()
     serve("--share-listen", endpoint, pins="first.sqlite")

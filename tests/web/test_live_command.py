@@ -102,6 +102,7 @@ def _answered(operator: Operator) -> bool:
     return bool(place["status"] == "ok" and place["ce90_m"] < 60.0)
 
 
+@pytest.mark.long  # short: both programs end, of one command
 def test_each_program_ends_with_the_other(flight: tuple[StreamedFlight, list[object]], tmp_path: Path) -> None:
     _, arguments = flight
     live = Live(tmp_path / "home", *arguments)

@@ -46,6 +46,7 @@ def fly(flight: Flight, page: Any, first: int, last: int) -> None:
         )
 
 
+@pytest.mark.long
 def test_a_page_that_is_open_for_an_hour_of_flight_does_not_grow(flight: Flight, chromium: Any) -> None:
     page = opened(chromium, flight.url, SMALL)
     try:
@@ -63,6 +64,7 @@ def test_a_page_that_is_open_for_an_hour_of_flight_does_not_grow(flight: Flight,
     assert after_nodes - before_nodes < 200
 
 
+@pytest.mark.long  # short: two, in test_pins_page.py
 def test_fifty_tablets_at_once_each_hear_of_every_pin(flight: Flight) -> None:
     async def tablet(k: int, joined: asyncio.Barrier, client: httpx2.AsyncClient) -> tuple[int, set[int]]:
         """Its own pin's number, and those that it knows of."""

@@ -366,6 +366,7 @@ def test_a_typed_coordinate_and_a_file_become_pins(anna: Operator, tmp_path: Pat
     assert "1 pins from wegpunkte.csv" in str(anna.by("answer").inner_text())
 
 
+@pytest.mark.long
 def test_very_many_pins_are_shown_after_all_of_them_are_fitted(chromium: Any, tmp_path: Path) -> None:
     """Though the pointer moves over them, which marks one after the other."""
     page_is_built()

@@ -34,6 +34,7 @@ _SLOW = """tookMs => {
 }"""
 
 
+@pytest.mark.long
 def test_a_map_that_renders_slowly_is_rendered_seldom_and_shows_the_last_picture_at_last(
     tmp_path: Path, chromium: Any
 ) -> None:

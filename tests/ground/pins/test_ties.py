@@ -52,6 +52,7 @@ def test_after_a_tie_the_ellipse_still_holds_ninety_percent_and_is_smaller() -> 
     assert np.mean(ratio[2]) < np.mean(ratio[3]) < np.mean(ratio[4]) < 1.0
 
 
+@pytest.mark.long
 def test_several_ties_are_adjusted_together_and_beat_one() -> None:
     rng = np.random.default_rng(12)
     held, one_m, all_m = [], [], []

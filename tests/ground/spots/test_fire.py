@@ -63,6 +63,7 @@ def test_a_fire_is_as_large_as_it_is_and_its_edge_is_between_surely_and_perhaps(
         assert fire.pictures == 25
 
 
+@pytest.mark.long
 def test_the_rate_of_spread_has_its_sigma_and_a_fire_that_stands_spreads_by_no_more_than_that() -> None:
     for seed in range(3):
         fire, _ = spreading(seed, 0.1)

@@ -52,6 +52,7 @@ def test_a_flight_with_turns_gives_a_better_camera_file(recorded: Path, tmp_path
     assert json.loads(out.read_text())["calibration"]["from_flight"] == recorded.name
 
 
+@pytest.mark.long
 def test_misuse_is_one_line_and_writes_nothing(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -50,6 +50,7 @@ def test_a_table_of_two_positions_is_what_both_were(folders: Path, capsys: pytes
     assert json.loads(out.read_text())["calibration"]["verdict"]
 
 
+@pytest.mark.long
 def test_one_position_that_is_not_good_writes_nothing(folders: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = folders / "camera.json"
     words = ["calibrate", "--zoom", f"1={folders / 'wide'}", "--zoom", f"2={folders / 'few'}", "--out", str(out)]

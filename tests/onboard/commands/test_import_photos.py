@@ -288,6 +288,7 @@ def test_a_flight_s_own_folder_has_its_times_and_its_configuration(
     )
 
 
+@pytest.mark.long  # short: a folder is clicked within its radius, above
 def test_a_camera_of_which_nothing_is_known_and_a_log_in_the_folder(
     session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -25,6 +25,7 @@ from simulation.flight import RecordedSpec
 from simulation.session import SessionSpec
 from tests.onboard.telemetry.log_writers import T0_S, gopro_seconds, with_track, written
 from tests.own_flights import set_creation, vary_rate, write_video
+from tests.rest_long import rest_long
 from tests.scenarios.flights import simulated
 
 CAMERA = Camera.from_field_of_view(64, 48, 60.0)
@@ -213,7 +214,7 @@ def local_record(log: Path, to: Path, ahead_s: float) -> Path:
 
 @pytest.mark.parametrize(
     ("arguments", "ahead_s", "zone_s"),
-    [((), 7.3, 0.0), (("--start", "2026-11-20T22:00:00Z"), 0.4, 0.0), (("--start",), 0.4, 46_800.0)],
+    rest_long([((), 7.3, 0.0), (("--start", "2026-11-20T22:00:00Z"), 0.4, 0.0), (("--start",), 0.4, 46_800.0)]),
 )
 def test_a_beginning_that_is_off_is_found_by_the_frames_own_motion(
     tmp_path: Path, arguments: tuple[str, ...], ahead_s: float, zone_s: float

@@ -175,7 +175,7 @@ SOURCES = (
 )
 
 
-@pytest.mark.parametrize("name", rest_long(SOURCES, 3))
+@pytest.mark.parametrize("name", rest_long(SOURCES))
 def test_a_source_of_errors_alone_moves_the_window_by_its_share(flown: Flown, name: str) -> None:
     """A Monte Carlo through the adjustment itself, one source at a time."""
     rng, base = np.random.default_rng(7), flown.solved.solution.state

@@ -71,6 +71,7 @@ def twice_as_good_with_ranges(scenes: list[Scene]) -> Array:
     return with_range
 
 
+@pytest.mark.long
 def test_ranges_give_the_seeds_sensors_a_scale_twice_as_good_and_stated_so(scenes: list[Scene]) -> None:
     twice_as_good_with_ranges(scenes[:8])
 

@@ -64,10 +64,11 @@ def watched(monkeypatch: pytest.MonkeyPatch) -> Iterator[Watched]:
     yield reported
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("sensors", "seed"),
     [
-        pytest.param({}, 0, id="full", marks=pytest.mark.long),
+        pytest.param({}, 0, id="full"),
         pytest.param({"attitude": "none", "velocity": False}, 1, id="gps"),
     ],
 )

@@ -94,7 +94,10 @@ def test_tracks_that_mean_nothing_are_a_poor_fit(seed: int) -> None:
     assert window.solved is None
 
 
-@pytest.mark.parametrize("mount", ["pitch_deg = 90.0", "roll_deg = 180.0", "pitch_deg = -90.0\nyaw_deg = 180.0"])
+MOUNTS = ["pitch_deg = 90.0", "roll_deg = 180.0", "pitch_deg = -90.0\nyaw_deg = 180.0"]
+
+
+@pytest.mark.parametrize("mount", rest_long(MOUNTS))
 def test_a_mount_that_looks_elsewhere_than_declared_is_refused(mount: str) -> None:
     """Upside down, or the wrong way round, with an attitude sensor that says so: turned over, not published."""
     scene = draw(np.random.default_rng(2), spec=CALM)
@@ -131,7 +134,7 @@ def test_a_sliding_window_keeps_ten_keyframes_and_stays_right() -> None:
     assert 0.0 < max(worst) < 6.0
 
 
-@pytest.mark.parametrize("true_px", [0.15, 0.8])
+@pytest.mark.parametrize("true_px", rest_long([0.8, 0.15]))
 def test_the_noise_of_tracking_is_learned(true_px: float) -> None:
     scene = draw(np.random.default_rng(3), spec=replace(CALM, keyframes=20, points=300, pixel_sigma_px=true_px))
     window = Window(FULL, CAMERA)

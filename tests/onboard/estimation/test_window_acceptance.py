@@ -79,6 +79,7 @@ def test_points_behind_the_camera_or_at_it_are_refused() -> None:
         assert against is not None and word in against
 
 
+@pytest.mark.long
 def test_a_window_that_inherits_a_wrong_minimum_is_solved_again_from_attitude() -> None:
     """Before, it was refused for as long as its start was the window before's."""
     window = draw(np.random.default_rng(0), FULL, CALM).window()

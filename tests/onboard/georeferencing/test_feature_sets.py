@@ -191,6 +191,7 @@ def test_an_ellipse_that_is_taken_too_small_would_be_noticed(monkeypatch: pytest
     assert 2.5 < np.mean(s.horizontal) / 2 < 6.0
 
 
+@pytest.mark.long
 def test_better_sensors_make_smaller_ellipses() -> None:
     full, _ = study(FULL, SceneSpec(), FEW_WORLDS)  # solved for what is above; as many count as of the other
     seed, _ = study(SEED_SENSORS, SceneSpec(), 8)

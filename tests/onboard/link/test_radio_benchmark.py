@@ -26,6 +26,7 @@ def test_without_an_autopilot_it_says_that_nothing_was_measured() -> None:
     assert done.returncode == 0 and "LEFT OUT: no autopilot given" in done.stdout
 
 
+@pytest.mark.long
 @pytest.mark.wall_clock(waits=True)
 def test_clicks_through_an_autopilot_are_counted_and_its_own_messages_timed() -> None:
     onboard, ground = free_udp_port(), free_udp_port()

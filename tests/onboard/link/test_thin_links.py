@@ -157,6 +157,7 @@ def on_a_link_slower_than_we_are_told() -> None:
         assert max(ages(cache, 4.0)) < 6.0
 
 
+@pytest.mark.long
 @pytest.mark.wall_clock(waits=True)
 def test_loss_costs_sets_and_no_time_and_a_slow_link_only_gets_fewer() -> None:
     together(lambda: with_loss(0.1), lambda: with_loss(0.2), on_a_slow_link, on_a_link_slower_than_we_are_told)

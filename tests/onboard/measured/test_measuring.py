@@ -85,6 +85,7 @@ def test_the_height_between_two_clicks_is_right_within_its_sigma_and_leaves_out_
     assert np.all(np.array(sigmas) < 0.5 * np.array(separate)) and np.median(sigmas) < 0.4
 
 
+@pytest.mark.long
 def test_a_click_has_the_tilt_that_its_set_is_off_by_within_a_sigma_that_states_how_well_it_does() -> None:
     """Tilts of a hundredth, in three worlds; without (29.13) the errors are four times as large and 57 % inside."""
     off, z = [], []

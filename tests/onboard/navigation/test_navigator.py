@@ -359,6 +359,7 @@ PROMPT, AGED = "[gps]\nlatency_s = 0.0\n[mount]\ngimbal = 'never'", "[gps]\nlate
 FIRST, WHOLE = (0.0, 120.0), (-np.inf, np.inf)  # seconds of the flight
 
 
+@pytest.mark.long  # short: attitudes, below
 @together
 @pytest.mark.parametrize(
     ("settings", "low_m", "high_m", "seconds"),

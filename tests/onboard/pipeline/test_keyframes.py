@@ -22,7 +22,6 @@ from onboard.navigation.navigator import NavState
 from onboard.pipeline.keyframes import profile_of
 from onboard.pipeline.pipeline import Pipeline
 from simulation.paths import PathSpec
-from tests.rest_long import rest_long
 
 SPEC = SampledSpec(parse_config(""), PathSpec(), 9.0, 2.0, errors=0.2, offset_s=-0.2, delay_s=0.0)
 
@@ -112,7 +111,8 @@ def test_nothing_is_touched_where_nothing_changed_or_navigation_is_gone() -> Non
     assert alike(window.keyframes, before)
 
 
-@pytest.mark.parametrize(("offset_s", "seeds"), rest_long([(-0.2, [2]), (-0.2, range(3)), (0.15, range(3))]))
+@pytest.mark.long
+@pytest.mark.parametrize(("offset_s", "seeds"), [(-0.2, [2]), (-0.2, range(3)), (0.15, range(3))])
 def test_stamps_that_are_far_off_are_learned_as_well_as_they_are_stated(offset_s: float, seeds: Sequence[int]) -> None:
     """Turns at 2.5 Hz of attitudes: each window takes its offset as linear about what the one before it found.
 
@@ -144,6 +144,7 @@ def test_a_window_at_an_offset_that_another_clearly_beats_answers_nothing_and_te
     assert taught and not window.alignment.updates, "the mount was learned at another offset"
 
 
+@pytest.mark.long
 def test_what_was_learned_stays_where_only_the_newest_window_went_astray() -> None:
     window = flown(spec=replace(SPEC, path=PathSpec("turns", bank_deg=40.0), seconds=25.0, errors=0.5)).window
     learned_s = float(window.alignment.platform.mean[OFFSET])

@@ -19,6 +19,7 @@ from onboard.replay.runner import Flight
 from simulation.flight import DescribedSpec
 from simulation.paths import PathSpec
 from simulation.session import SessionSpec
+from tests.rest_long import rest_long
 from tests.scenarios.flights import simulated
 
 pytestmark = pytest.mark.xdist_group("mount search")  # one worker: what they share is made once
@@ -54,7 +55,7 @@ def test_there_are_24_ways_and_each_is_another() -> None:
     assert min(apart) > 1.5
 
 
-@pytest.mark.parametrize("mount", [(0.0, -90.0, 0.0), SIDEWAYS])
+@pytest.mark.parametrize("mount", rest_long([((0.0, -90.0, 0.0),), (SIDEWAYS,)]))
 def test_the_pictures_of_a_flight_with_turns_tell_how_the_camera_sits(mount: tuple[float, float, float]) -> None:
     ranking = ranked(session(mount))
     assert ranking.decided == mount and ranking.pictures > 20

@@ -196,12 +196,14 @@ def solved_at_once(session: Session) -> list[FeatureSet]:
     return session.run()
 
 
+@pytest.mark.long  # short: two runs give the same bytes
 def test_a_thread_beside_gives_the_same_bytes_as_solving_at_once(brisk: Session, at_once: list[FeatureSet]) -> None:
     with ThreadPoolExecutor(1) as worker:
         threaded = brisk.run(worker=worker)
     assert [encode(s) for s in threaded] == [encode(s) for s in at_once]
 
 
+@pytest.mark.long
 def test_a_picture_that_is_not_placed_again_has_the_answers_that_it_would_have(
     brisk: Session, at_once: list[FeatureSet], monkeypatch: pytest.MonkeyPatch
 ) -> None:

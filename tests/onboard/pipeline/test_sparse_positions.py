@@ -18,7 +18,6 @@ from contract.feature_set import Status
 from onboard.config.schema import parse_config
 from onboard.events.types import Event, Frame, PositionFix
 from simulation.paths import PathSpec
-from tests.rest_long import rest_long
 from tests.scenarios.test_moved_optics import simulated
 
 PATH = PathSpec("turns", leg_m=250.0)
@@ -79,7 +78,8 @@ def steep(seed: int, every_s: float) -> SampledFlight:
     return SparseFlight(SampledSpec(config, STEEP, seconds=24.0, rate_hz=5.0), seed, every_s)
 
 
-@pytest.mark.parametrize(("every_s", "late_s"), rest_long([(2.0, 2.5), (2.0, 0.5)]))
+@pytest.mark.long  # short: a gap that is not joined, below
+@pytest.mark.parametrize(("every_s", "late_s"), [(2.0, 2.5), (2.0, 0.5)])
 def test_a_picture_waits_for_the_position_that_it_is_joined_by(every_s: float, late_s: float) -> None:
     config = parse_config(
         f"[gps]\nlatency_s = {late_s}\nsigma_latency_s = 0.05\nmax_gap_s = {every_s + 0.5}\nglitch_m = 50.0\n"

@@ -125,6 +125,7 @@ def test_defocused_pictures_are_refused_or_held(tmp_path: Path, noise: float) ->
     assert refused <= {Status.OK, Status.FEATURELESS, Status.POOR_FIT, Status.STARTING, Status.UNCERTAIN}
 
 
+@pytest.mark.long  # short: three seconds without a fix, a scenario
 def test_telemetry_gone_for_a_second_costs_nothing_but_that_second(tmp_path: Path) -> None:
     def cut(event: Event, t_s: float) -> Event | None:
         return None if 9.0 <= t_s < 10.0 else event

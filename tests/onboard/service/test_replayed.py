@@ -10,6 +10,7 @@ from onboard.__main__ import main
 from tests.onboard.service.air import take_off
 
 
+@pytest.mark.long  # short: a session with its pictures: test_rotating_recorder.py
 def test_a_live_session_replays_to_the_same_bytes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     air = take_off(tmp_path, seconds=14.0, config={"recording": {"pictures": "lossless", "keep_free_mb": 1.0}})
     assert air.code == 0

@@ -104,6 +104,7 @@ def _files(folder: Path) -> list[str]:
     )]  # fmt: skip
 
 
+@pytest.mark.long
 def test_a_replay_prints_and_records_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     warm = ThermalSpec(contrast=0.5, sources=(HeatSource.car((0.0, 60.0), 25.0),))
     folder = simulated(dataclasses.replace(STRAIGHT, seconds=5.0, thermal=warm))

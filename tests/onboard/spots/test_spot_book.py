@@ -157,6 +157,7 @@ def with_net(scene: Scene, net: _Net, count: int) -> list[SpotReport]:
     return [report for report in reports if report is not None]
 
 
+@pytest.mark.long
 def test_a_fire_in_which_a_net_sees_a_person_stays_a_fire() -> None:
     fire = Fire(((-8.0, 0.0), (8.0, 6.0)), rate_m_s=0.2, first_m=6.0, ember_k=600.0, cooling_s=600.0)
     scene = Scene(ThermalSpec(fires=(fire,)), step_m=0.0)

@@ -164,6 +164,7 @@ def test_channels_whose_own_records_are_lost_are_known_from_the_end_of_the_file(
     assert recorded.damaged
 
 
+@pytest.mark.long
 def test_a_replay_says_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     config = configured(rotate_mb=100.0)
     path = tmp_path / "session.mcap"

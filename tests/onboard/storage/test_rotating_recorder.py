@@ -40,6 +40,7 @@ from simulation.flight import DescribedSpec
 from simulation.paths import PathSpec
 from simulation.session import SessionSpec
 from tests.contract.sets import plain_set
+from tests.rest_long import rest_long
 from tests.scenarios.flights import CAMERA, simulated
 from tests.set_sink import SetSink
 from tests.waiting import eventually
@@ -156,6 +157,7 @@ def same(was: Event, now: Event) -> bool:
     return repr(was) == repr(now)  # what is not a number equals nothing
 
 
+@pytest.mark.long
 def test_the_ground_clicks_in_any_part_and_in_the_folder(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
     parts = sorted(session.glob("*.mcap"))
     whole = Recording(session)
@@ -180,7 +182,7 @@ def test_any_mcap_reader_opens_every_part_and_finds_the_status(session: Path) ->
     assert {"pc/uav-1/status", "pc/uav-1/pictures", "pc/uav-1/view/camera"} <= topics
 
 
-@pytest.mark.parametrize("pictures", ["none", "jpeg"])
+@pytest.mark.parametrize("pictures", rest_long(["none", "jpeg"]))
 def test_without_pictures_a_replay_says_so_and_with_jpeg_that_it_is_not_the_same(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], pictures: str
 ) -> None:

@@ -138,6 +138,7 @@ def test_a_glitch_is_over_when_receiver_and_filter_are_back(
     assert isinstance(navigation.state_at(3 * SECOND), NavState)
 
 
+@pytest.mark.long
 def test_after_a_recorded_glitch_positions_are_accepted_once_they_have_settled(shared_data: Path) -> None:
     """33 m for 12 s until second 136: ArduPilot rejects the right ones for three seconds and flags them until 156."""
     log = recorded(shared_data / "sitl" / "plane_wind_noise.tlog")

@@ -80,6 +80,7 @@ def errors(log: TelemetryLog, truth: np.ndarray) -> tuple[float, float]:
     return min(miss_m(behind_s) for behind_s in np.arange(-0.1, 0.11, 0.02)), float(np.median(turned))
 
 
+@pytest.mark.long
 def test_both_logs_tell_the_flight_as_it_was_and_the_autopilot_s_own_no_worse(logs: Logs, truth: np.ndarray) -> None:
     by_tlog, by_bin = errors(logs.tlog, truth), errors(logs.bin, truth)
     # The GPS of this flight wanders by a metre, and the heading with the compass's offsets.

@@ -77,7 +77,8 @@ def test_a_motion_that_is_predicted_is_predicted_in_full_pixels() -> None:
     assert np.median(np.linalg.norm(tracks.uv_px - move(H, tracks.keyframe_uv_px), axis=1)) < 0.5
 
 
-@pytest.mark.parametrize("large_px", rest_long([2800, 4000]))
+@pytest.mark.long  # short: pixels and motions are the full picture's
+@pytest.mark.parametrize("large_px", [2800, 4000])
 def test_more_pixels_of_the_same_ground_lose_no_features(large_px: int) -> None:
     """Of a sensor whose pixels are noisy and blurred, as many are found as of the same picture at 1600 px."""
     rng = np.random.default_rng(5)

@@ -99,6 +99,7 @@ def test_ground_is_never_called_whichever_way_it_moves(seed: int) -> None:
     assert watched(*over(cloudy(seed + 10, (1600, 1200)), 120, step_px)).share == 0.0
 
 
+@pytest.mark.long
 def test_edges_along_the_flight_and_rows_across_it_stand_still_only_to_the_eye() -> None:
     """A road that the aircraft follows, and a field whose rows are as far apart as the ground moves."""
     road = cloudy(5, (1600, 600), 4.0)
@@ -175,6 +176,7 @@ def followed(pictures: Sequence[Picture]) -> tuple[list[float], list[float]]:
     return standing, moved
 
 
+@pytest.mark.long
 def test_a_tracker_that_the_display_has_blinded_finds_the_ground() -> None:
     """Rows of letters before a ground of little contrast; no one tells where the aircraft moves."""
     pictures = list(passing(cloudy(4, (1600, 1000), 9.0), (STEP_PX, 6.0), 70))
