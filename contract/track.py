@@ -36,11 +36,14 @@ class Unseen(Enum):
     NO_REPORT = "no report"  # the ground has received none for a while
 
 
+REST_M_S = 0.5  # one sigma of a speed, above which a walker could not be distinguished from one at rest
+
+
 @dataclass(frozen=True)
 class Course:
     """Speed over the ground, m/s, and course, degrees clockwise from north; one sigma of each.
 
-    A thing at rest has no course: both its figures are None.
+    A thing at rest, and one that may be, has no course: both its figures are None.
     """
 
     speed_m_s: float
@@ -55,7 +58,8 @@ class Course:
     def to_text(self) -> str:
         """The speed and course in words."""
         if self.course_deg is None or self.sigma_course_deg is None:
-            return f"at rest (+-{self.sigma_speed_m_s:.2f} m/s)"
+            words = "at rest" if self.sigma_speed_m_s <= REST_M_S else "may move"
+            return f"{words} (+-{self.sigma_speed_m_s:.2f} m/s)"
         return (
             f"{self.speed_m_s:.1f} +-{self.sigma_speed_m_s:.1f} m/s towards {self.course_deg:.0f} "
             f"+-{self.sigma_course_deg:.0f} deg"

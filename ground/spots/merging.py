@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from contract.answer import Ellipse, Place
 from contract.geodesy import LocalFrame, level_ground_m
 from contract.spot import Spot, SpotReport
-from contract.track import Course
+from contract.track import REST_M_S, Course
 from contract.velocity import Velocity
 from ground.chi_square import limit
 from ground.spots.found_thing import FoundThing, SeenSpot
@@ -27,7 +27,6 @@ MOVES = limit(1e-2, 2)  # of the squared speed of one that has moved over its va
 UNSEEN_S = 20.0  # after which a moving thing may be anywhere
 SHORT_S = 3.0  # for which what stood may have begun to move
 SPEED_AFTER_S = 3.0  # of sightings, before a speed is reported
-REST_M_S = 0.5  # one sigma of a speed, above which a walker could not be distinguished from one at rest
 EXTENT_SHARE = 0.2  # of a spot's radius: how much what is taken for its middle changes with the view, one sigma
 MOST_THINGS, MOST_KEPT_SPOTS = 2000, 60  # and as many that were the best once
 

@@ -66,10 +66,13 @@ def earlier(pictures: Pictures, seen: Seen) -> list[Seen]:
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """The sureness, 0 to 1, that each pixel of a patch (S, S) shows what was not there before; and what was there."""
+    """The sureness, 0 to 1, that each pixel of a patch (S, S) shows what was not there before; what was there, and one
+    sigma of what it would look like now, grey levels.
+    """
 
     surely: Image
     behind: Image
+    sigma: Image
 
 
 def difference(pictures: Pictures, seen: Seen, patch: Patch) -> Change | None:
@@ -89,7 +92,7 @@ def difference(pictures: Pictures, seen: Seen, patch: Patch) -> Change | None:
     noise = max(1.48 * float(np.partition(off, off.size // 2, axis=None)[off.size // 2]), LEAST_NOISE)
     dx, dy = cv2.Sobel(behind, cv2.CV_32F, 1, 0, scale=0.125), cv2.Sobel(behind, cv2.CV_32F, 0, 1, scale=0.125)
     sigma = np.sqrt(noise * noise + MISFIT_PX**2 * (dx * dx + dy * dy))
-    return Change(np.clip((off / sigma - CLEAR) / (CERTAIN - CLEAR), 0.0, 1.0), behind)
+    return Change(np.clip((off / sigma - CLEAR) / (CERTAIN - CLEAR), 0.0, 1.0), behind, sigma)
 
 
 def _aligned(pictures: Pictures, seen: Seen, patch: Patch) -> tuple[Image, NDArray[np.bool_] | None]:

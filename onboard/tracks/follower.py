@@ -18,6 +18,7 @@ from contract.track_age import ACCELERATION_M_S2, LOST_AFTER_S, TURN_RAD_S
 from onboard.geometry.plane_homography import move
 from onboard.tracks.backdrop import AGES_S, Change, Patch, cut, difference
 from onboard.tracks.ground_steps import Pictures, Seen
+from onboard.tracks.looks import Corner, Look, Wanted, cover_of
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -35,8 +36,12 @@ STOOD_S = 0.5  # at one place, after which what changes there is first of all th
 # How near to the picture's edge its middle is still looked for: a share of its size, and px.
 EDGE_SHARE, LEAST_EDGE_PX = 0.5, 3.0
 COURSE_SIGMAS = 4.0  # of the speed, from which a thing is known to turn with its course
+MOST_AGE_S = AGES_S[len(AGES_S) // 2]  # since then most of the pictures by which the ground behind is known are taken
 OLD_S = 1.0  # age of the older of the two looks that are remembered
 PRIOR_WEIGHT = 0.04
+OTHERS_APART_M = 30.0  # from one moving thing to the next, where nothing else shows how many there are
+USUAL_SPREAD, SPREAD_LEARNED = 30.0, 0.1  # one sigma of a thing's grey levels at first, and the share each picture adds
+SURE_ODDS = 3.0  # logarithm of the odds that something is the thing and not another
 CLIMB_SHARE = 0.12  # of its size, from where what has changed is likeliest to where it looks most like the thing
 CHAIN_PX2 = 0.01  # variance of a step of the ground, and of what a walking thing does within one
 # So many times as large as it was: something else is there too, and one sigma of its place is that share of its size.
@@ -62,27 +67,6 @@ class Observation:
         return self.unseen is Unseen.NONE
 
 
-@dataclass(frozen=True, eq=False)
-class _Look:
-    """The look of a thing: a patch about its place, how it went, and how that picture's ground has turned since."""
-
-    stamp_ns: int
-    patch: Patch
-    uv_px: Array
-    velocity: Array  # (2,), against the ground, px/s; 0 where its direction is not known
-    turned: Array  # (2, 2): pixels then -> now
-
-    def warped(self, half: int, velocity: Array) -> Image:
-        """Return the thing as it should look now that it goes at `velocity`, (2 half + 1) squared, about its middle."""
-        back = np.linalg.inv(rotation(self.turned @ self.velocity, velocity) @ self.turned)
-        middle = self.uv_px - self.patch.corner
-        M = np.column_stack([back, middle - back @ np.array([half, half])])
-        size = 2 * half + 1
-        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        out = cv2.warpAffine(self.patch.image, M, (size, size), flags=flags, borderMode=cv2.BORDER_REPLICATE)
-        return np.asarray(out, np.float32)
-
-
 class Follower:
     """Follows one thing; `begin` at the clicked picture, `follow` through those that come after it, in order."""
 
@@ -98,7 +82,8 @@ class Follower:
         fastest = FASTEST_M_S / 2.0 / self._m_px
         self._velocity = np.zeros(2)  # against the ground, px/s
         self._cov = np.diag([CLICK_SIGMA_PX**2] * 2 + [fastest**2] * 2)
-        self._looks: list[_Look] = []
+        self._looks: list[Look] = []
+        self._spread = USUAL_SPREAD  # of its own grey levels, from picture to picture
         self._rest = self._uv.copy()  # where it is if it has stood since it was last seen to move
         self._stood, self._stood_ns = self._uv.copy(), clicked.stamp_ns if self._stands() else 0  # when it stood last
         self._remember()
@@ -149,7 +134,11 @@ class Follower:
         is_again = self.unseen_s(seen) > AGAIN_S
         if changed is not None and (self._stands() or is_again) and seen.stamp_ns - self._stood_ns < AGES_S[-1] * 1e9:
             changed = replace(changed, surely=self._without_uncovered(changed.surely, self._stood - patch.corner))
-        found = self._best(patch, changed, reach, half, LEAST_AGAIN if is_again else LEAST_LIKENESS)
+        wanted = Wanted.of(self._looks, half, self._size, self._known_velocity(), self._spread)
+        found = self._best(patch, changed, wanted, reach, LEAST_AGAIN if is_again else LEAST_LIKENESS)
+        is_alike = found is not None
+        if found is None and changed is not None:
+            found = self._otherwise(patch, changed, wanted, reach)
         if found is None:
             return self._unseen(Unseen.HIDDEN)
         uv, sigma = found
@@ -160,8 +149,9 @@ class Follower:
         self._last_seen_ns = seen.stamp_ns
         if self._stands():
             self._stood, self._stood_ns = self._rest.copy(), seen.stamp_ns
-        if sigma < MERGED_SHARE * self._size:
-            self._remember()
+        if is_alike and sigma < MERGED_SHARE * self._size:
+            self._learn_spread(seen, uv, wanted)
+            self._remember(changed, patch.corner, wanted)
         return Observation(seen, uv, sigma, self._size)
 
     def _stands(self) -> bool:
@@ -206,39 +196,37 @@ class Follower:
         return int(np.clip(np.ceil(0.75 * self._size), 3, 30))
 
     def _best(
-        self, patch: Patch, changed: Change | None, reach: int, half: int, least: float
+        self, patch: Patch, changed: Change | None, wanted: Wanted, reach: int, least: float
     ) -> tuple[Array, float] | None:
         """(24.7): the likeliest place in the picture and its one sigma; None if none looks like it by `least`."""
-        middle = (patch.image.shape[0] - 1) // 2
+        middle, half = (patch.image.shape[0] - 1) // 2, wanted.mask.shape[0] // 2
         window = slice(middle - reach - half, middle + reach + half + 1)
-        looks = self._wanted(half)
-        likeness = _likeness(patch.image[window, window], *looks)
-        steps = np.arange(-reach, reach + 1, dtype=float)
-        place = np.stack(np.meshgrid(steps, steps), axis=-1) + patch.corner + middle
-        off = place - self._uv
-        far = np.einsum("ijk,kl,ijl->ij", off, np.linalg.inv(self._cov[:2, :2] + 0.25 * np.eye(2)), off)
-        score = likeness - PRIOR_WEIGHT * far
+        search = patch.image[window, window]
+        likeness = wanted.likeness(search)
+        place = _places(patch, reach)
+        score = likeness - PRIOR_WEIGHT * self._far(place)
         inner = max(EDGE_SHARE * self._size, LEAST_EDGE_PX)
         height, width = self._seen.image.shape
         if patch.inside is not None:  # what is cut by the picture's edge is not compared
             score[((place < inner) | (place > (width - 1.0 - inner, height - 1.0 - inner))).any(axis=-1)] = -np.inf
         here = arrived = None
         if changed is not None:
-            cover = cv2.GaussianBlur(changed.surely, (0, 0), max(0.3 * self._size, 0.8))
-            here = np.clip(
-                1.6 * cover[middle - reach : middle + reach + 1, middle - reach : middle + reach + 1], 0.0, 1.0
-            )
+            here = self._differs(changed, reach)
             # Where the ground behind looks more like the thing than the picture does, it has gone from there.
             if here.max() > 0.0:
-                arrived = np.where(likeness > _likeness(changed.behind[window, window], *looks), here, 0.0)
+                arrived = np.where(likeness > wanted.likeness(changed.behind[window, window]), here, 0.0)
             else:
                 arrived = here
             score = score + arrived
         j, i = np.unravel_index(int(np.argmax(score)), score.shape)
         like, differs = float(likeness[j, i]), 0.0 if arrived is None else float(arrived[j, i])
-        if here is not None and (still := self._still(likeness, here, place[0, 0], like)) is not None:
+        # What has moved on by its own size since most of the earlier pictures is in none: it must differ. (24.25)
+        is_behind = float(np.hypot(*self._velocity)) * MOST_AGE_S < self._size
+        still = None if here is None or not is_behind else self._still(likeness, here, place[0, 0], like)
+        if still is not None:
             return still, STILL_SIGMA_PX
-        if not (like >= SURE_LIKENESS or (differs >= SURE_DIFFERENCE and like >= least)):
+        by_look = like >= SURE_LIKENESS and (changed is None or is_behind)
+        if not (by_look or (differs >= SURE_DIFFERENCE and like >= least)):
             return None
         peak = _climbed(likeness, int(j), int(i), int(CLIMB_SHARE * self._size))
         matched, sigma = place[peak] + _peak(likeness, *peak[::-1]), 0.3 + 2.0 * (1.0 - like)
@@ -251,6 +239,42 @@ class Follower:
             return place[j, i] + _peak(likeness, int(i), int(j)), spread
         share = sigma**2 / (sigma**2 + spread**2)
         return matched + share * (centre - matched), sigma * spread / float(np.hypot(sigma, spread))
+
+    def _otherwise(self, patch: Patch, changed: Change, wanted: Wanted, reach: int) -> tuple[Array, float] | None:
+        """(24.24): where something differs that is likelier the thing, over other ground than before, than another;
+        None if it is not.
+        """
+        here, middle = self._differs(changed, reach), (patch.image.shape[0] - 1) // 2
+        far = self._far(_places(patch, reach))
+        j, i = np.unravel_index(int(np.argmax(here - PRIOR_WEIGHT * far)), here.shape)
+        at = np.array([i, j]) - reach + middle
+        if here[j, i] < SURE_DIFFERENCE or not self._is_size_known:
+            return None
+        half = wanted.mask.shape[0] // 2
+        parts = np.stack([patch.image, changed.behind, changed.sigma])
+        ratio = max(
+            wanted.log_ratio(*parts[:, y - half : y + half + 1, x - half : x + half + 1])
+            for x in range(at[0] - 1, at[0] + 2)
+            for y in range(at[1] - 1, at[1] + 2)
+        )
+        others = max((self._m_px / OTHERS_APART_M) ** 2, wanted.others(changed.surely, at))
+        spread_px2 = 2.0 * np.pi * float(np.sqrt(np.linalg.det(self._cov[:2, :2] + 0.25 * np.eye(2))))
+        if ratio - 0.5 * float(far[j, i]) - float(np.log(spread_px2 * others)) < SURE_ODDS:
+            return None
+        return self._centred(changed.surely, at, patch)
+
+    def _far(self, places: Array) -> Array:
+        """The squared distances (...) of places (..., 2) from the prediction, over its covariance."""
+        off = places - self._uv
+        out: Array = np.einsum("...k,kl,...l->...", off, np.linalg.inv(self._cov[:2, :2] + 0.25 * np.eye(2)), off)
+        return out
+
+    def _differs(self, changed: Change, reach: int) -> Image:
+        """How surely a thing of its size at each place of the window is something that was not there before."""
+        middle = (changed.surely.shape[0] - 1) // 2
+        cover = cv2.GaussianBlur(changed.surely, (0, 0), max(0.3 * self._size, 0.8))
+        window = slice(middle - reach, middle + reach + 1)
+        return np.asarray(np.clip(1.6 * cover[window, window], 0.0, 1.0), np.float32)
 
     def _without_uncovered(self, surely: Image, at: Array) -> Image:
         """The change without the part about `at`, where the thing stood: as it leaves it uncovers ground, of
@@ -273,21 +297,6 @@ class Follower:
         like = float(likeness[j, i])
         stands = here[j, i] < UNCHANGED and like >= max(SURE_LIKENESS, best - STILL_LIKENESS)
         return self._rest if stands else None
-
-    def _wanted(self, half: int) -> tuple[Image, Image]:
-        """The window's weights (2 half + 1) squared, and the kernel of both looks: linear, so that one pass serves."""
-        size = 2 * half + 1
-        axis = np.arange(size) - half
-        soft = np.exp(-0.5 * (axis / max(0.45 * self._size, 1.2)) ** 2)
-        mask = np.outer(soft, soft).astype(np.float32)
-        mask /= mask.sum()
-        kernel = np.zeros_like(mask)
-        course = self._known_velocity()
-        for look in self._looks:
-            wanted = look.warped(half, course)
-            wanted = wanted - float((mask * wanted).sum())
-            kernel += mask * wanted / np.sqrt(max(float((mask * wanted * wanted).sum()), 0.25))
-        return mask, kernel / np.float32(len(self._looks))
 
     def _centred(self, changed: Image, at: Array, patch: Patch) -> tuple[Array, float]:
         """(24.8): the middle of what differs and one sigma of it, px; and the thing's size by its area."""
@@ -322,13 +331,16 @@ class Follower:
         wide = np.maximum(np.abs(rows - at[1]), np.abs(columns - at[0])) <= max(1.3 * self._size, 4.0)
         return SIZE_BY_ROOT * float(np.sqrt((changed * wide).sum()))
 
-    def _remember(self) -> None:
-        """Keep how it looks now, next to how it looked OLD_S ago."""
+    def _remember(
+        self, changed: Change | None = None, corner: Corner | None = None, wanted: Wanted | None = None
+    ) -> None:
+        """Keep how it looks now, next to how it looked OLD_S ago; with its cover by what has changed about it."""
         half = self._half()
         patch = cut(self._seen, self._uv, int(1.5 * half) + 2)
         if patch.inside is not None:
             return
-        new = _Look(self._seen.stamp_ns, patch, self._uv.copy(), self._known_velocity(), np.eye(2))
+        cover = cover_of(patch, changed, patch.corner if corner is None else corner, wanted, self._uv)
+        new = Look(self._seen.stamp_ns, patch, self._uv.copy(), self._known_velocity(), np.eye(2), cover)
         old = [look for look in self._looks if new.stamp_ns - look.stamp_ns >= OLD_S * 1e9]
         if not self._looks:
             self._looks = [new]
@@ -345,6 +357,17 @@ class Follower:
         sigma = float(np.sqrt(0.5 * np.trace(self._cov[2:, 2:])))
         is_known = self._size > LARGE_PX and float(np.hypot(*self._velocity)) > COURSE_SIGMAS * sigma
         return self._velocity if is_known else np.zeros(2)
+
+    def _learn_spread(self, seen: Seen, uv: Array, wanted: Wanted) -> None:
+        """Learn by how much its grey levels differ from one picture to the next: from those that it was to have."""
+        half = wanted.mask.shape[0] // 2
+        sure = wanted.inside[0] > 0.5
+        if not sure.any():
+            return
+        size = 2 * half + 1
+        image = cv2.getRectSubPix(seen.image, (size, size), (float(uv[0]), float(uv[1]))).astype(np.float32)
+        off = float(np.mean((image - wanted.grey)[sure] ** 2))
+        self._spread = float(np.sqrt(self._spread**2 + SPREAD_LEARNED * (off - self._spread**2)))
 
     def _find_size(self) -> bool:
         """Find its middle and size from what differs about the click, if the thing has been moving; return whether."""
@@ -366,22 +389,11 @@ class Follower:
         return False
 
 
-def _likeness(search: Image, mask: Image, kernel: Image) -> Image:
-    """Correlation of the thing's looks with every place, the mean of both; 0 where there is nothing to compare."""
-    half = mask.shape[0] // 2
-    whole = [cv2.filter2D(part, cv2.CV_32F, mask)[half:-half, half:-half] for part in (search, search * search)]
-    spread = np.sqrt(np.maximum(whole[1] - whole[0] ** 2, 0.25))
-    out: Image = cv2.filter2D(search, cv2.CV_32F, kernel)[half:-half, half:-half] / spread
+def _places(patch: Patch, reach: int) -> Array:
+    """The pixels (2 reach + 1, 2 reach + 1, 2) about the middle of a patch."""
+    steps = np.arange(-reach, reach + 1, dtype=float)
+    out: Array = np.stack(np.meshgrid(steps, steps), axis=-1) + patch.corner + (patch.image.shape[0] - 1) // 2
     return out
-
-
-def rotation(before: Array, now: Array) -> Array:
-    """Return the rotation (2, 2) from one direction (2,) to another; none where one of them is 0. (24.21)"""
-    turn = complex(*now) * complex(*before).conjugate()
-    if turn == 0.0:
-        return np.eye(2)
-    c, s = turn.real / abs(turn), turn.imag / abs(turn)
-    return np.array([[c, -s], [s, c]])
 
 
 def _within(size_px: float) -> float:

@@ -106,6 +106,15 @@ class World:
 
 
 @dataclass
+class Paved(World):
+    """With pavement from the origin on to the east, brighter than the things on it; grass is darker than they are."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._ground[:, 450:] += 95.0
+
+
+@dataclass
 class Leafy(World):
     """With a tree of 5 m at the origin whose leaves sway, and through whose gaps the ground, or a thing, is seen."""
 

@@ -13,9 +13,9 @@ from benchmarks import manoeuvres
 from contract.answer import CHI2_2
 from contract.feature_set import Status
 from contract.track import MOST_TRACKS, TrackReport, TrackState, Unseen
-from onboard.tracks.follower import rotation
+from onboard.tracks.looks import rotation
 from onboard.tracks.track_book import REPORT_LOST_S, TrackBook
-from tests.onboard.tracks.flat_world import M_PX, PLACE, RATE_HZ, SESSION, Leafy, Place, Thing, World, at
+from tests.onboard.tracks.flat_world import M_PX, PLACE, RATE_HZ, SESSION, Leafy, Paved, Place, Thing, World, at
 from tests.rest_long import rest_long
 
 Watch = Callable[[int, list[TrackReport]], None]
@@ -168,6 +168,20 @@ def test_a_look_turns_with_the_course_of_its_thing() -> None:
         turned = rotation(np.array(before), np.array(now))
         c, s = math.cos(math.radians(deg)), math.sin(math.radians(deg))
         assert np.allclose(turned, [[c, -s], [s, c]])  # (24.21)
+
+
+@pytest.mark.parametrize("seed", rest_long([0, 1, 2, 3]))
+def test_who_steps_from_dark_on_bright_ground_is_followed_on(seed: int) -> None:
+    """Bright on grass and dark on the pavement: by correlation alone the look of a moment ago is nowhere."""
+    runner = Thing(at(-9.0, 0.4 * seed, (3.0, 0.0)), 0.8, 150.0)
+    world = Paved((runner,), camera=at(0.0, 0.0, (0.3, 0.2)) if seed % 2 else at(0.0, 0.0), seed=seed)
+    _, reported = fly(world, range(62), {1: runner}, clicked=15)
+    after = {n: r for n, r in reported[1].items() if n > 30}
+    seen = {n: r for n, r in after.items() if r.state is TrackState.FOLLOWED}
+    assert len(seen) > 0.6 * len(after) and off_px(world, runner, seen) < 2.0
+    assert not any(r.state is TrackState.LOST for r in after.values())
+    course = reported[1][61].course
+    assert course is not None and abs(course.speed_m_s - 3.0) < 3.0 * course.sigma_speed_m_s < 0.9
 
 
 @pytest.mark.parametrize("seed", rest_long([0, 1, 2]))

@@ -1,0 +1,171 @@
+"""The looks of a thing that are remembered, and how well a place looks like them. (24.7), (24.21) to (24.23)
+
+Two comparisons. By correlation, with the ground about the thing as it was; and as a picture put together: the thing
+over the ground that is behind it now, against that ground alone. The second one holds where the ground changes from
+dark to bright below it, and needs to know both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from onboard.tracks.backdrop import CERTAIN, Change, Patch
+
+Array = NDArray[np.float64]
+Image = NDArray[np.float32]
+Corner = NDArray[np.int64]
+
+LEARNED = 0.3  # of what the newest picture shows of a pixel's cover, where thing and ground differ
+OTHER_GREY = 64.0  # one sigma of another thing's grey levels about the ground's
+OWN_SHARE = 0.5  # of pixels, that say something of their own: the lens has blurred neighbours together
+RIM_PX = 0.8  # of the lens and of what the cover was learned from
+LEAST_COVER_PX = 2.0  # area of a thing, below which it is not put together
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """The look of a thing: a patch about its place, how it went, and how that picture's ground has turned since.
+
+    `cover`, of the same pixels as the patch: the share, 0 to 1, of each that is the thing's; 0 where that is not known.
+    """
+
+    stamp_ns: int
+    patch: Patch
+    uv_px: Array
+    velocity: Array  # (2,), against the ground, px/s; 0 where its direction is not known
+    turned: Array  # (2, 2): pixels then -> now
+    cover: Image
+
+    def warped(self, half: int, velocity: Array) -> tuple[Image, Image]:
+        """Return how the thing and its cover should look now that it goes at `velocity`, (2 half + 1) squared."""
+        back = np.linalg.inv(rotation(self.turned @ self.velocity, velocity) @ self.turned)
+        middle = self.uv_px - self.patch.corner
+        M = np.column_stack([back, middle - back @ np.array([half, half])])
+        size = 2 * half + 1
+        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        image = cv2.warpAffine(self.patch.image, M, (size, size), flags=flags, borderMode=cv2.BORDER_REPLICATE)
+        cover = cv2.warpAffine(self.cover, M, (size, size), flags=flags, borderValue=0.0)
+        return np.asarray(image, np.float32), np.asarray(cover, np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class Wanted:
+    """What is looked for, (2 half + 1) squared: the window's weights, which sum to 1, the kernel of the correlation
+    with all looks (linear, so that one pass serves), the thing's own grey levels, and its cover. `spread`: one sigma of
+    those levels from picture to picture.
+    """
+
+    mask: Image
+    kernel: Image
+    grey: Image
+    cover: Image
+    spread: float
+
+    @classmethod
+    def of(cls, looks: Sequence[Look], half: int, size_px: float, velocity: Array, spread: float) -> Wanted:
+        """Return what a thing of `size_px` that goes at `velocity` should look like, by its looks."""
+        axis = np.arange(2 * half + 1) - half
+        soft = np.exp(-0.5 * (axis / max(0.45 * size_px, 1.2)) ** 2)
+        mask = np.outer(soft, soft).astype(np.float32)
+        mask /= mask.sum()
+        kernel, grey, cover = np.zeros_like(mask), np.zeros_like(mask), np.zeros_like(mask)
+        covered = 0
+        for look in looks:
+            image, its_cover = look.warped(half, velocity)
+            grey += its_cover * image
+            cover += its_cover
+            covered += float(its_cover.sum()) >= LEAST_COVER_PX
+            image = image - float((mask * image).sum())
+            kernel += mask * image / np.sqrt(max(float((mask * image * image).sum()), 0.25))
+        grey /= np.maximum(cover, np.float32(1e-6))
+        cover /= np.float32(max(covered, 1))
+        return cls(mask, kernel / np.float32(max(len(looks), 1)), grey, cover, spread)
+
+    def likeness(self, search: Image) -> Image:
+        """Return the correlation with every place, the mean of the looks; 0 where there is nothing to compare."""
+        half = self.mask.shape[0] // 2
+        whole = [
+            cv2.filter2D(part, cv2.CV_32F, self.mask)[half:-half, half:-half] for part in (search, search * search)
+        ]
+        spread = np.sqrt(np.maximum(whole[1] - whole[0] ** 2, 0.25))
+        out: Image = cv2.filter2D(search, cv2.CV_32F, self.kernel)[half:-half, half:-half] / spread
+        return out
+
+    def others(self, surely: Image, at: Array) -> float:
+        """Return how many other things of this size a square pixel of a patch shows, by what differs away from `at`."""
+        half = self.mask.shape[0] // 2
+        rows, columns = np.mgrid[: surely.shape[0], : surely.shape[1]]
+        away = np.maximum(np.abs(rows - at[1]), np.abs(columns - at[0])) > half
+        return float(surely[away].mean() / max(float(self.cover.sum()), 1.0)) if away.any() else 0.0
+
+    @cached_property
+    def inside(self) -> tuple[Image, Image, Image]:
+        """The share of each pixel that is the thing's, one sigma of it, and the thing's own grey there. (24.23)
+
+        A pixel that is the thing's in part differs as surely as one that is it whole: near the rim the share is not
+        known, and the grey is that of the rest of it.
+        """
+        soft = np.asarray(cv2.GaussianBlur(self.cover, (0, 0), RIM_PX, borderType=cv2.BORDER_CONSTANT), np.float32)
+        share = np.clip(2.0 * soft - 1.0, 0.0, 1.0)
+        usual = float((share * self.grey).sum()) / max(float(share.sum()), 1e-6)
+        return share, 2.0 * soft * (1.0 - soft), share * self.grey + (1.0 - share) * np.float32(usual)
+
+    def log_ratio(self, image: Image, behind: Image, sigma: Image) -> float:
+        """Return the logarithm of how much likelier the thing there is than another, or than the ground alone. (24.23)
+
+        The three (2 half + 1) squared, about the place. -inf where the thing's cover is not known.
+        """
+        if image.shape != self.cover.shape or float(self.cover.sum()) < LEAST_COVER_PX:
+            return -np.inf
+        (cover, rim, grey), off, noise = self.inside, image - behind, sigma * sigma
+        level = float(behind.mean())
+        its = noise + (cover * self.spread) ** 2 + (rim * (grey - behind)) ** 2
+        anothers = noise + (cover * OTHER_GREY) ** 2 + (rim * OTHER_GREY) ** 2
+        left = (off - cover * (grey - behind)) ** 2 / its + np.log(its)
+        other = (off - cover * (level - behind)) ** 2 / anothers + np.log(anothers)
+        ground = off * off / noise + np.log(noise)
+        by_other, by_ground = (0.5 * OWN_SHARE * float((which - left).sum()) for which in (other, ground))
+        return min(by_other, by_ground)
+
+
+def cover_of(patch: Patch, changed: Change | None, corner: Corner, wanted: Wanted | None, uv_px: Array) -> Image:
+    """Return the cover of a new look: what `wanted` had at `uv_px`, and what differs now where thing and ground do.
+
+    `changed` is of a patch at `corner`; beyond it, and without it, the cover stays as it was.
+    """
+    size = patch.image.shape[0]
+    before, grey = (np.zeros((size, size), np.float32) for _ in range(2))
+    if wanted is not None and float(wanted.cover.sum()) >= LEAST_COVER_PX:
+        half = wanted.mask.shape[0] // 2
+        shift = uv_px - patch.corner - half
+        M = np.array([[1.0, 0.0, shift[0]], [0.0, 1.0, shift[1]]])
+        before = np.asarray(cv2.warpAffine(wanted.cover, M, (size, size), borderValue=0.0), np.float32)
+        grey = np.asarray(
+            cv2.warpAffine(wanted.inside[2], M, (size, size), borderMode=cv2.BORDER_REPLICATE), np.float32
+        )
+    if changed is None:
+        return before
+    M = np.array([[1.0, 0.0, corner[0] - patch.corner[0]], [0.0, 1.0, corner[1] - patch.corner[1]]])
+    surely, behind, sigma = (
+        np.asarray(cv2.warpAffine(part, M, (size, size), borderValue=fill), np.float32)
+        for part, fill in ((changed.surely, 0.0), (changed.behind, 0.0), (changed.sigma, 1e6))
+    )
+    if wanted is None or float(wanted.cover.sum()) < LEAST_COVER_PX:
+        return surely
+    shows = np.abs(grey - behind) > CERTAIN * sigma
+    return np.where(shows | (before < surely), before + np.float32(LEARNED) * (surely - before), before)
+
+
+def rotation(before: Array, now: Array) -> Array:
+    """Return the rotation (2, 2) from one direction (2,) to another; none where one of them is 0. (24.21)"""
+    turn = complex(*now) * complex(*before).conjugate()
+    if turn == 0.0:
+        return np.eye(2)
+    c, s = turn.real / abs(turn), turn.imag / abs(turn)
+    return np.array([[c, -s], [s, c]])
