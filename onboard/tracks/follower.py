@@ -136,7 +136,7 @@ class Follower:
             changed = replace(changed, surely=self._without_uncovered(changed.surely, self._stood - patch.corner))
         wanted = Wanted.of(self._looks, half, self._size, self._known_velocity(), self._spread)
         found = self._best(patch, changed, wanted, reach, LEAST_AGAIN if is_again else LEAST_LIKENESS)
-        is_alike = found is not None
+        by_look = found is not None
         if found is None and changed is not None:
             found = self._otherwise(patch, changed, wanted, reach)
         if found is None:
@@ -149,7 +149,7 @@ class Follower:
         self._last_seen_ns = seen.stamp_ns
         if self._stands():
             self._stood, self._stood_ns = self._rest.copy(), seen.stamp_ns
-        if is_alike and sigma < MERGED_SHARE * self._size:
+        if by_look and sigma < MERGED_SHARE * self._size:
             self._learn_spread(seen, uv, wanted)
             self._remember(changed, patch.corner, wanted)
         return Observation(seen, uv, sigma, self._size)

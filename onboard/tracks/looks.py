@@ -23,7 +23,7 @@ Corner = NDArray[np.int64]
 
 LEARNED = 0.3  # of what the newest picture shows of a pixel's cover, where thing and ground differ
 OTHER_GREY = 64.0  # one sigma of another thing's grey levels about the ground's
-OWN_SHARE = 0.5  # of pixels, that say something of their own: the lens has blurred neighbours together
+OWN_SHARE = 0.5  # of pixels, that are news of their own: the lens has blurred neighbours together
 RIM_PX = 0.8  # of the lens and of what the cover was learned from
 LEAST_COVER_PX = 2.0  # area of a thing, below which it is not put together
 

@@ -44,7 +44,7 @@ def wanted(rng: np.random.Generator) -> Wanted:
 @pytest.mark.parametrize("level", [60.0, 90.0, 210.0, 240.0])
 def test_the_thing_is_likelier_than_another_over_any_ground_that_it_differs_from(level: float) -> None:
     """(24.23), of a hundred draws; the correlation with its look over dark ground is negative over bright."""
-    its, anothers, alone, alike = [], [], [], []
+    its, anothers, alone, correlated = [], [], [], []
     for seed in range(100):
         rng = np.random.default_rng(seed)
         one, ground = wanted(rng), ground_of(level, rng)
@@ -54,11 +54,11 @@ def test_the_thing_is_likelier_than_another_over_any_ground_that_it_differs_from
         anothers.append(one.log_ratio(over(ground, 20.0, rng), ground, sigma))
         alone.append(one.log_ratio(over(ground, 0.0, rng, np.zeros_like(COVER)), ground, sigma))
         wide = np.pad(image, HALF, mode="edge")
-        alike.append(float(one.likeness(wide)[HALF, HALF]))
+        correlated.append(float(one.likeness(wide)[HALF, HALF]))
     assert np.quantile(its, 0.05) > 4.0 and 8.0 < np.median(its) < 22.0
     assert np.quantile(anothers, 0.95) < -50.0  # 20 is no 150
     assert np.quantile(alone, 0.95) < -50.0
-    assert np.median(alike) < -0.5 if level > 150.0 else np.median(alike) > 0.8
+    assert np.median(correlated) < -0.5 if level > 150.0 else np.median(correlated) > 0.8
 
 
 def test_without_a_cover_nothing_is_weighed() -> None:
