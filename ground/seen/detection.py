@@ -206,8 +206,9 @@ def _numbered(reports: Iterable[SpotReport]) -> dict[tuple[str, int, int, int], 
 
     The capture too, for a second camera counts its own pictures. Only of those whose share is known.
     """
+    once = {(r.vehicle, r.session, r.frame, r.capture_unix_ns): r for r in reports}  # however often it came
     out, numbers = {}, dict[tuple[str, int], int]()
-    for r in sorted(reports, key=lambda r: r.capture_unix_ns):
+    for r in sorted(once.values(), key=lambda r: r.capture_unix_ns):
         session = r.vehicle, r.session
         numbers[session] = number = numbers.get(session, 0) + 1
         if r.person_found is not None:

@@ -17,9 +17,11 @@ import zenoh
 
 from contract.link_config import link_config
 from contract.locate import Locator
-from contract.topics import FEATURES, STATUS
+from contract.spot import SpotReport
+from contract.topics import FEATURES, SPOTS, STATUS
 from contract.vehicle_status import VehicleStatus, encode_status
 from contract.wire.codec import encode
+from contract.wire.spot_code import encode_spots
 from ground.__main__ import main
 from ground.link_recorder import LinkRecorder
 from ground.recording import Recording
@@ -53,6 +55,8 @@ def link() -> Iterator[Link]:
         while not stop.is_set():
             for s in SETS:
                 session.put(FEATURES.key("uav-1"), encode(s))
+                report = SpotReport(s.session, s.frame, s.capture_unix_ns, True, vehicle="uav-1", person_found=0.9)
+                session.put(SPOTS.key("uav-1"), encode_spots(report))
             session.put(STATUS.key("uav-1"), encode_status(status))
             session.put(FEATURES.key("uav-1"), b"PC nonsense")
             session.put("pc/uav-1/status", b"{" * 50)
@@ -157,7 +161,7 @@ def test_watching_shows_state_age_rate_position_and_accuracy(link: Link, capsys:
     def is_a_table() -> bool:
         assert main(["watch", "--count", "1", "--period", "0.6", "--connect", link]) == 0
         out[:] = capsys.readouterr().out.splitlines()
-        return len(out) > 1 and out[1].endswith("fly one circle")
+        return len(out) > 1 and "fly one circle; a person" in out[1]
 
     assert eventually(is_a_table), out
     assert out[0].split()[:4] == ["vehicle", "state", "age", "rate"] and out[1].startswith("uav-1")
@@ -174,6 +178,8 @@ def test_what_was_seen_is_counted_from_the_link(link: str, tmp_path: Path, capsy
     assert main(["seen", "--connect", link, "--vehicle", "uav-1", "--seconds", "2", "--cell", "4"]) == 0
     assert capsys.readouterr().out == recorded
     assert f"in {len(SETS)} pictures of uav-1" in recorded
+    assert main(["seen", "--connect", link, "--vehicle", "uav-1", "--seconds", "2", "--cell", "4", "--pod"]) == 0
+    assert f"{len(SETS)} of {len(SETS)} pictures searched" in capsys.readouterr().out
 
 
 def test_lines_are_answered_from_the_link(
