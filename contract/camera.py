@@ -249,6 +249,16 @@ class Camera:
         uv = self.pixels(xy)
         return uv, usable & self.contains(uv)
 
+    def rayless(self) -> Mask | None:
+        """The pixels (H, W) beyond the angle at which a fisheye's rays end; None where there are none, or a pinhole."""
+        if self.model != FISHEYE:
+            return None
+        end = float(self.distort((self.max_radius, 0.0))[0])
+        across = (np.arange(self.width_px) - self.cx_px) / self.fx_px
+        down = (np.arange(self.height_px) - self.cy_px) / self.fy_px
+        beyond: Mask = np.hypot(across, down[:, None]) > end
+        return beyond if beyond.any() else None
+
     def contains(self, uv_px: ArrayLike) -> Mask:
         """Return a mask (...) of the pixels (..., 2) inside the picture, its half-pixel border included."""
         uv = np.asarray(uv_px, float)

@@ -80,8 +80,9 @@ class Pipeline:
         self.camera = camera
         self.navigation = Navigation(config)
         self.tracker = tracker_for(camera.size_px, config.tracking.features, config.tracking.min_distance_px)
-        if burned_in is not None:
-            self.tracker.leave_out(burned_in)
+        masks = [mask for mask in (burned_in, camera.rayless()) if mask is not None]
+        if masks:
+            self.tracker.leave_out(np.logical_or.reduce(masks))
         self.tracks = self.tracker.nothing()  # of the newest picture, for display
         self.window = Window(config, camera)
         self.mount_selection = MountSelection(self.window.R_body_cam)

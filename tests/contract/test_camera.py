@@ -58,6 +58,10 @@ def test_a_fisheye_s_rays_end_at_eighty_degrees_and_where_its_polynomial_folds()
         assert valid == is_valid and np.isfinite(ray).all()
     assert not wide.project((1.0, 0.0, 0.17))[1] and wide.project((1.0, 0.0, 0.18))[1]
     Camera.from_text(wide.to_json(), "wide")
+    beyond = wide.rayless()
+    assert beyond is not None and FISHEYE.rayless() is None and MILD.rayless() is None
+    pixels = np.stack(np.meshgrid(np.arange(640.0), np.arange(480.0)), axis=-1)
+    assert np.count_nonzero(beyond == wide.unproject(pixels)[1]) < 20  # but for the edge's own pixels
     folding = replace(FISHEYE, distortion=(-0.3, 0.0, 0.0, 0.0))
     assert np.hypot(*folding.unproject((0.0, 0.0))[0][:2]) <= np.tan(np.sqrt(0.7 / 0.9)) and folding.max_radius < 1.3
     assert not folding.unproject((0.0, 0.0))[1] and folding.unproject((320.0, 240.0))[1]
