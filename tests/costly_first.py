@@ -5,12 +5,11 @@ others where it mostly waits.
 """
 
 COSTLY_FIRST = (
-    "web", "web: a flight in motion", "end to end", "pipeline", "install", "open", "test_daemon",
-    "processes in real time", "web: served alone", "test_autopilot", "test_faults", "test_link_faults",
-    "scenarios: ground", "test_helper_camera", "scenarios: slow pictures", "failing sensors", "test_router",
-    "recorded logs", "test_sharing", "test_intrinsics", "test_live_command", "rotating recorder", "test_makefile",
-    "benchmarks", "test_gimbal_component", "scenarios: motion", "scenarios: telemetry", "test_gimbal_survey",
-    "test_degraded_pictures", "ordinary", "test_standing_parts", "test_supervision", "test_moved_optics",
-    "range finder", "calibrate in flight", "test_track_book", "test_spot_book", "test_mcap_records",
-    "test_correlated_sensor_errors", "test_sliding_window", "test_rolling_shutter", "test_platform_errors",
+    "web", "web: a flight in motion", "pipeline", "end to end", "test_daemon", "web: served alone",
+    "test_mavlink_link", "open", "test_helper_camera", "processes in real time", "scenarios: ground",
+    "test_autopilot", "test_link_faults", "log files", "import photos", "test_intrinsics", "test_router",
+    "test_mavlink_session", "recorded logs", "test_spot_book", "test_sharing", "rotating recorder", "test_measuring",
+    "install", "test_publisher", "test_track_book", "test_gimbal_component", "test_supervision", "failing sensors",
+    "test_gstreamer_helper", "test_makefile", "test_degraded_pictures", "test_position_jumps", "benchmarks",
+    "test_faults", "test_sliding_window", "test_clock_search", "test_old_sets",
 )  # fmt: skip

@@ -20,7 +20,6 @@ from onboard.events.types import Attitude, Event, Frame, GimbalAttitude, GpsQual
 from onboard.navigation.gimbal import MountHypothesis
 from onboard.telemetry.mavlink_session import Autopilot
 from onboard.telemetry.vehicle_choice import LISTEN_NS
-from tests.rest_long import rest_long
 from tests.scenarios.test_moved_optics import Simulated, simulated
 
 S = 1_000_000_000
@@ -145,7 +144,8 @@ def test_a_yaw_whose_zero_is_off_and_drifts_is_found_by_each_window(
     assert share >= true - 0.1 and np.median(errors) < 1.5 * np.median(exact) + 0.1, (share, true)
 
 
-@pytest.mark.parametrize("seconds", rest_long([9.0, SECONDS]))
+@pytest.mark.long
+@pytest.mark.parametrize("seconds", [9.0, SECONDS])
 def test_an_undeclared_yaw_zero_of_45_degrees_is_refused(seconds: float) -> None:
     silent = survey("[mount]\ngimbal = 'always'", seconds=seconds)
     share, errors = answered(simulated(silent, events=with_yaw_zero(silent.events(), 45.0, 0.0)))

@@ -14,7 +14,6 @@ from onboard.config.schema import parse_config
 from onboard.estimation.ground_slope import SlopePrior
 from onboard.estimation.sensor_factors import level_sigma
 from simulation.paths import PathSpec
-from tests.rest_long import rest_long
 from tests.test_platform_errors import clicks
 
 pytestmark = pytest.mark.xdist_group("sloping ground")  # one worker: what they share is made once
@@ -40,7 +39,7 @@ def simulated(slope: str) -> tuple[Array, Array, SlopePrior]:
     return chi2, semi_m, prior
 
 
-OF_EACH = rest_long(["east", "level", "north-west"])
+OF_EACH = ["east", "level", "north-west"]
 
 
 @pytest.mark.long
@@ -53,6 +52,7 @@ def test_the_ellipse_of_99_percent_holds_a_slope_of_ten_degrees(slope: str) -> N
     assert np.median(semi_m) < 45.0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("slope", OF_EACH)
 def test_turns_find_the_slope(slope: str) -> None:
     """What later windows begin from is nearer to the truth than level ground is, and level where it is level."""
@@ -62,6 +62,7 @@ def test_turns_find_the_slope(slope: str) -> None:
     assert off @ np.linalg.solve(prior.covariance, off) < CHI2_99
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("slope", OF_EACH)
 def test_after_turns_the_prior_is_narrower_than_declared(slope: str) -> None:
     _, _, prior = simulated(slope)
@@ -69,6 +70,7 @@ def test_after_turns_the_prior_is_narrower_than_declared(slope: str) -> None:
     assert 0.1 * level_sigma(CAMERA_AND_GPS) < widest < 0.85 * level_sigma(CAMERA_AND_GPS)
 
 
+@pytest.mark.long
 def test_after_turns_ellipses_are_shorter() -> None:
     _, semi_m, _ = simulated("east")
     third = len(semi_m) // 3

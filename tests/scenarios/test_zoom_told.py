@@ -11,7 +11,6 @@ import pytest
 from contract.feature_set import Status
 from onboard.estimation.platform_states import STATES
 from simulation.paths import PathSpec
-from tests.rest_long import rest_long
 from tests.scenarios.test_moved_optics import Simulated, simulated
 from tests.scenarios.zoom_flights import (
     LEVEL,
@@ -93,7 +92,8 @@ def test_a_ramp_in_turns_reported_late_in_steps_with_gaps_and_nonsense_is_follow
     check(result)
 
 
-@pytest.mark.parametrize("seed", rest_long([0, 2]))
+@pytest.mark.long
+@pytest.mark.parametrize("seed", [0, 2])
 def test_a_fast_zoom_that_is_not_reported_is_refused(seed: int) -> None:
     """Before, 6 to 21 pictures were answered with a sixth of the focal length, up to 3.5 ellipses off."""
     result = followed(LEVEL, STEP, None, seed)

@@ -31,6 +31,7 @@ def judged(load: Load, wanted_hz: float) -> dict[str, object]:
     return report(load, Config(), SMALL, wanted_hz, Watch())
 
 
+@pytest.mark.long
 def test_a_short_flight_is_measured(tmp_path: Path) -> None:
     """Four seconds at 30 Hz, sampled here: nearly every picture is solved, and every stage has taken some time.
 

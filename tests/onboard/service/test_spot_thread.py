@@ -122,6 +122,7 @@ def test_a_replay_prints_and_records_them(tmp_path: Path, capsys: pytest.Capture
     assert [report.frame for report in recorded] == [line["frame"] for line in lines]
 
 
+@pytest.mark.long  # short: each picture gives one packet, below
 def test_a_replay_takes_a_second_cameras_pictures_by_their_own_stamps(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

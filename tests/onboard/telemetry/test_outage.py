@@ -79,6 +79,7 @@ def test_each_loss_is_seen_within_two_seconds_and_got_over(shared_data: Path, wi
     assert share(clear + 15.0, clear + 50.0) == 0.0
 
 
+@pytest.mark.long
 def test_the_filter_alone_says_it_late_but_says_it(shared_data: Path) -> None:
     off, on, jammed, clear = ((t - events_ns(shared_data)[0]) / 1e9 for t in events_ns(shared_data))
     share = refusals(shared_data, lambda event: not isinstance(event, GpsQuality))
