@@ -192,11 +192,11 @@ def test_the_costliest_groups_begin_first() -> None:
     """By the order in which one worker runs them: pytest-xdist hands groups out in that of its first worker."""
     done = subprocess.run(
         [sys.executable, "-m", "pytest", "--collect-only", "-m", "not long and not wall_clock",
-         "tests/test_equations.py", "tests/onboard/spots/test_spot_book.py", "tests/onboard/tracks/test_track_book.py"],
+         "tests/test_equations.py", "tests/onboard/tracks/test_track_book.py", "tests/onboard/spots/test_spot_book.py"],
         cwd=ROOT, capture_output=True, text=True, check=False, timeout=120,
     )  # fmt: skip
     files = list(dict.fromkeys(re.findall(r"(test_\w+)\.py::", done.stdout)))
-    assert files == ["test_track_book", "test_spot_book", "test_equations"]
+    assert files == ["test_spot_book", "test_track_book", "test_equations"]
 
 
 @pytest.mark.parametrize(
