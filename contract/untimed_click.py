@@ -85,7 +85,7 @@ def _clicked(feature_set: FeatureSet, share: tuple[float, float]) -> Answer:
 
 
 def _joined(fixes: list[Fix], late_s: Array, weights: Array, sigma_s: float) -> UntimedClick:
-    """The place at the moment, by a straight line through those of the pictures around it. (30.1) to (30.4)"""
+    """The place at the moment, by a straight line through those of the pictures around it. (31.1) to (31.4)"""
     nearest = fixes[int(np.argmin(np.abs(late_s)))]
     frame = LocalFrame(nearest.lat_deg, nearest.lon_deg, _height_m(nearest))
     places = np.array([frame.to_enu(fix.lat_deg, fix.lon_deg, _height_m(fix)) for fix in fixes])
