@@ -78,7 +78,10 @@ BENCHMARKS = (
         ("--flights", "1", "--seconds", "75", "--sensors", "full", "--told", "global shutter,0 to 20 ms"),
     ),
     Benchmark(
-        "fisheye", "Through a fisheye", (), ("--flights", "1", "--seconds", "8", "--lenses", "60,150", "--off", "0.03")
+        "fisheye",
+        "Through a fisheye",
+        ("--flights", "3", "--off", "0.03"),
+        ("--flights", "1", "--seconds", "8", "--lenses", "60,150", "--off", "0.03"),
     ),
     Benchmark("bundle", "The window solve against GTSAM", (), ("--repeat", "5")),
     Benchmark("tracking", "A tracking step against raw Lucas-Kanade", (), ("--seconds", "3", "--passes", "1")),
