@@ -67,12 +67,14 @@ def earlier(pictures: Pictures, seen: Seen) -> list[Seen]:
 @dataclass(frozen=True, eq=False)
 class Change:
     """The sureness, 0 to 1, that each pixel of a patch (S, S) shows what was not there before; what was there, and one
-    sigma of what it would look like now, grey levels.
+    sigma of what it would look like now, grey levels. `shown` (S, S): where earlier pictures show the ground, where not
+    everywhere.
     """
 
     surely: Image
     behind: Image
     sigma: Image
+    shown: NDArray[np.bool_] | None = None
 
 
 def difference(pictures: Pictures, seen: Seen, patch: Patch) -> Change | None:
@@ -83,7 +85,7 @@ def difference(pictures: Pictures, seen: Seen, patch: Patch) -> Change | None:
     layers, known = _aligned(pictures, seen, patch)
     if len(layers) < 2:
         return None
-    behind = np.median(layers, axis=0) if len(layers) > 2 else layers[-1]
+    behind, shown = np.median(layers, axis=0) if len(layers) > 2 else layers[-1], None
     if known is not None:
         shown = known.sum(axis=0) >= 2
         middle = np.nanmedian(np.where(known | ~shown, layers, np.nan), axis=0)
@@ -92,7 +94,7 @@ def difference(pictures: Pictures, seen: Seen, patch: Patch) -> Change | None:
     noise = max(1.48 * float(np.partition(off, off.size // 2, axis=None)[off.size // 2]), LEAST_NOISE)
     dx, dy = cv2.Sobel(behind, cv2.CV_32F, 1, 0, scale=0.125), cv2.Sobel(behind, cv2.CV_32F, 0, 1, scale=0.125)
     sigma = np.sqrt(noise * noise + MISFIT_PX**2 * (dx * dx + dy * dy))
-    return Change(np.clip((off / sigma - CLEAR) / (CERTAIN - CLEAR), 0.0, 1.0), behind, sigma)
+    return Change(np.clip((off / sigma - CLEAR) / (CERTAIN - CLEAR), 0.0, 1.0), behind, sigma, shown)
 
 
 def _aligned(pictures: Pictures, seen: Seen, patch: Patch) -> tuple[Image, NDArray[np.bool_] | None]:

@@ -222,10 +222,11 @@ class Follower:
         like, differs = float(likeness[j, i]), 0.0 if arrived is None else float(arrived[j, i])
         # What has moved on by its own size since most of the earlier pictures is in none: it must differ. (24.25)
         is_behind = float(np.hypot(*self._velocity)) * MOST_AGE_S < self._size
+        is_shown = changed is not None and (changed.shown is None or changed.shown[window, window][half + j, half + i])
         still = None if here is None or not is_behind else self._still(likeness, here, place[0, 0], like)
         if still is not None:
             return still, STILL_SIGMA_PX
-        by_look = like >= SURE_LIKENESS and (changed is None or is_behind)
+        by_look = like >= SURE_LIKENESS and (is_behind or not is_shown)
         if not (by_look or (differs >= SURE_DIFFERENCE and like >= least)):
             return None
         peak = _climbed(likeness, int(j), int(i), int(CLIMB_SHARE * self._size))

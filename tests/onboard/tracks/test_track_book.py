@@ -184,6 +184,16 @@ def test_who_steps_from_dark_on_bright_ground_is_followed_on(seed: int) -> None:
     assert course is not None and abs(course.speed_m_s - 3.0) < 3.0 * course.sigma_speed_m_s < 0.9
 
 
+@pytest.mark.parametrize("east_m", rest_long([26.0, 20.0]))
+def test_over_ground_that_no_earlier_picture_shows_it_is_known_by_its_look(east_m: float) -> None:
+    """At the edge towards which the aircraft flies: what was there before is not known, and nothing differs from it."""
+    car = Thing(at(east_m, 3.0, (10.0, 0.0)), 2.4)
+    world = World((car,), camera=at(0.0, 0.0, (10.0, 0.0)))
+    _, reported = fly(world, range(60), {1: car}, clicked=12)
+    seen = {n: r for n, r in reported[1].items() if r.state is TrackState.FOLLOWED}
+    assert len(seen) > 40 and off_px(world, car, seen) < 3.0
+
+
 @pytest.mark.parametrize("seed", rest_long([0, 1, 2]))
 def test_below_a_leafy_tree_it_is_hidden_within_a_second_or_still_seen_and_no_leaf_is_followed(seed: int) -> None:
     runner = Thing(at(-14.0, 0.3 * seed, (3.0, 0.0)), 1.0)
