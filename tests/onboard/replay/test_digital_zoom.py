@@ -14,7 +14,9 @@ from onboard.events.types import Zoom
 from onboard.replay.digital_zoom import SIGMA_EQUIVALENT, enlarged, optical_zoom
 from onboard.replay.runner import Flight
 
-CAMERA = Camera(64, 48, 80.0, 82.0, 30.0, 26.0, (-0.1, 0.02, 0.001, -0.001, 0.0), (0.02, 0.01, 0.01, 0.05, 0.05))
+CAMERA = Camera(
+    64, 48, 80.0, 82.0, 30.0, 26.0, (-0.1, 0.02, 0.001, -0.001, 0.0), stated_sigma=(0.02, 0.01, 0.01, 0.05, 0.05)
+)
 
 
 def flight(tmp_path: Path, ratios: list[str], word: str = "dzoom_ratio") -> Flight:
