@@ -35,6 +35,11 @@ class Patch:
     corner: NDArray[np.int64]
     inside: NDArray[np.bool_] | None = None
 
+    @property
+    def middle(self) -> int:
+        """The column, and the row, of its middle."""
+        return int(self.image.shape[0] - 1) // 2
+
 
 def cut(seen: Seen, centre: Array, half: int) -> Patch:
     """The square of 2 half + 1 pixels about a place."""
@@ -67,10 +72,11 @@ def earlier(pictures: Pictures, seen: Seen) -> list[Seen]:
 @dataclass(frozen=True, eq=False)
 class Change:
     """The sureness, 0 to 1, that each pixel of a patch (S, S) shows what was not there before; what was there, and one
-    sigma of what it would look like now, grey levels. `shown` (S, S): where earlier pictures show the ground, where not
-    everywhere.
+    sigma of what it would look like now, grey levels. `corner` is the patch's. `shown` (S, S): where earlier pictures
+    show the ground, where not everywhere.
     """
 
+    corner: NDArray[np.int64]
     surely: Image
     behind: Image
     sigma: Image
@@ -94,7 +100,8 @@ def difference(pictures: Pictures, seen: Seen, patch: Patch) -> Change | None:
     noise = max(1.48 * float(np.partition(off, off.size // 2, axis=None)[off.size // 2]), LEAST_NOISE)
     dx, dy = cv2.Sobel(behind, cv2.CV_32F, 1, 0, scale=0.125), cv2.Sobel(behind, cv2.CV_32F, 0, 1, scale=0.125)
     sigma = np.sqrt(noise * noise + MISFIT_PX**2 * (dx * dx + dy * dy))
-    return Change(np.clip((off / sigma - CLEAR) / (CERTAIN - CLEAR), 0.0, 1.0), behind, sigma, shown)
+    surely: Image = np.clip((off / sigma - CLEAR) / (CERTAIN - CLEAR), 0.0, 1.0)
+    return Change(patch.corner, surely, behind, sigma, shown)
 
 
 def _aligned(pictures: Pictures, seen: Seen, patch: Patch) -> tuple[Image, NDArray[np.bool_] | None]:

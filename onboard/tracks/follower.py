@@ -8,6 +8,7 @@ ground. A thing at rest shows no difference and goes with the ground.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -18,7 +19,7 @@ from contract.track_age import ACCELERATION_M_S2, LOST_AFTER_S, TURN_RAD_S
 from onboard.geometry.plane_homography import move
 from onboard.tracks.backdrop import AGES_S, Change, Patch, cut, difference
 from onboard.tracks.ground_steps import Pictures, Seen
-from onboard.tracks.looks import Corner, Look, Wanted, cover_of
+from onboard.tracks.looks import Look, Wanted, cover_of
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -65,6 +66,26 @@ class Observation:
     @property
     def is_seen(self) -> bool:
         return self.unseen is Unseen.NONE
+
+
+@dataclass(frozen=True, eq=False)
+class _Window:
+    """The places (N, N, 2), px, in a patch at which it is looked for, N = 2 reach + 1, and what is known of each.
+
+    `far`: its squared distance from the prediction over that covariance. `differs`: the sureness that a thing of its
+    size there is something that was not there before; None without `changed`.
+    """
+
+    patch: Patch
+    reach: int
+    place: Array
+    far: Array
+    changed: Change | None
+    differs: Image | None
+
+    def at(self, j: int, i: int) -> NDArray[Any]:
+        """Return the pixel (2,) of the patch, column and row, that a place is."""
+        return np.array([i, j]) - self.reach + self.patch.middle
 
 
 class Follower:
@@ -135,10 +156,11 @@ class Follower:
         if changed is not None and (self._stands() or is_again) and seen.stamp_ns - self._stood_ns < AGES_S[-1] * 1e9:
             changed = replace(changed, surely=self._without_uncovered(changed.surely, self._stood - patch.corner))
         wanted = Wanted.of(self._looks, half, self._size, self._known_velocity(), self._spread)
-        found = self._best(patch, changed, wanted, reach, LEAST_AGAIN if is_again else LEAST_LIKENESS)
+        window = self._window(patch, changed, reach)
+        found = self._best(window, wanted, LEAST_AGAIN if is_again else LEAST_LIKENESS)
         by_look = found is not None
-        if found is None and changed is not None:
-            found = self._otherwise(patch, changed, wanted, reach)
+        if found is None:
+            found = self._otherwise(window, wanted)
         if found is None:
             return self._unseen(Unseen.HIDDEN)
         uv, sigma = found
@@ -151,7 +173,7 @@ class Follower:
             self._stood, self._stood_ns = self._rest.copy(), seen.stamp_ns
         if by_look and sigma < MERGED_SHARE * self._size:
             self._learn_spread(seen, uv, wanted)
-            self._remember(changed, patch.corner, wanted)
+            self._remember(changed, wanted)
         return Observation(seen, uv, sigma, self._size)
 
     def _stands(self) -> bool:
@@ -195,23 +217,32 @@ class Follower:
     def _half(self) -> int:
         return int(np.clip(np.ceil(0.75 * self._size), 3, 30))
 
-    def _best(
-        self, patch: Patch, changed: Change | None, wanted: Wanted, reach: int, least: float
-    ) -> tuple[Array, float] | None:
+    def _window(self, patch: Patch, changed: Change | None, reach: int) -> _Window:
+        """The places about the middle of a patch, with what is known of each before its look."""
+        steps = np.arange(-reach, reach + 1, dtype=float)
+        place = np.asarray(np.stack(np.meshgrid(steps, steps), axis=-1) + patch.corner + patch.middle, float)
+        off = place - self._uv
+        far = np.einsum("ijk,kl,ijl->ij", off, np.linalg.inv(self._cov[:2, :2] + 0.25 * np.eye(2)), off)
+        if changed is None:
+            return _Window(patch, reach, place, far, None, None)
+        cover = cv2.GaussianBlur(changed.surely, (0, 0), max(0.3 * self._size, 0.8))
+        inner = slice(patch.middle - reach, patch.middle + reach + 1)
+        differs = np.asarray(np.clip(1.6 * cover[inner, inner], 0.0, 1.0), np.float32)
+        return _Window(patch, reach, place, far, changed, differs)
+
+    def _best(self, found: _Window, wanted: Wanted, least: float) -> tuple[Array, float] | None:
         """(24.7): the likeliest place in the picture and its one sigma; None if none looks like it by `least`."""
-        middle, half = (patch.image.shape[0] - 1) // 2, wanted.mask.shape[0] // 2
-        window = slice(middle - reach - half, middle + reach + half + 1)
-        search = patch.image[window, window]
-        likeness = wanted.likeness(search)
-        place = _places(patch, reach)
-        score = likeness - PRIOR_WEIGHT * self._far(place)
+        patch, changed, place, here = found.patch, found.changed, found.place, found.differs
+        half, reach = wanted.mask.shape[0] // 2, found.reach
+        window = slice(patch.middle - reach - half, patch.middle + reach + half + 1)
+        likeness = wanted.likeness(patch.image[window, window])
+        score = likeness - PRIOR_WEIGHT * found.far
         inner = max(EDGE_SHARE * self._size, LEAST_EDGE_PX)
         height, width = self._seen.image.shape
         if patch.inside is not None:  # what is cut by the picture's edge is not compared
             score[((place < inner) | (place > (width - 1.0 - inner, height - 1.0 - inner))).any(axis=-1)] = -np.inf
-        here = arrived = None
-        if changed is not None:
-            here = self._differs(changed, reach)
+        arrived = None
+        if changed is not None and here is not None:
             # Where the ground behind looks more like the thing than the picture does, it has gone from there.
             if here.max() > 0.0:
                 arrived = np.where(likeness > wanted.likeness(changed.behind[window, window]), here, 0.0)
@@ -233,25 +264,25 @@ class Follower:
         matched, sigma = place[peak] + _peak(likeness, *peak[::-1]), 0.3 + 2.0 * (1.0 - like)
         if changed is None or differs < SURE_DIFFERENCE:
             return matched, sigma
-        if not self._is_size_known and not self._measured(changed.surely, np.array([i, j]) - reach + middle):
+        if not self._is_size_known and not self._measured(changed.surely, found.at(int(j), int(i))):
             return matched, sigma
-        centre, spread = self._centred(changed.surely, np.array([i, j]) - reach + middle, patch)
+        centre, spread = self._centred(changed.surely, found.at(int(j), int(i)), patch)
         if spread >= MERGED_SHARE * self._size:
             return place[j, i] + _peak(likeness, int(i), int(j)), spread
         share = sigma**2 / (sigma**2 + spread**2)
         return matched + share * (centre - matched), sigma * spread / float(np.hypot(sigma, spread))
 
-    def _otherwise(self, patch: Patch, changed: Change, wanted: Wanted, reach: int) -> tuple[Array, float] | None:
+    def _otherwise(self, found: _Window, wanted: Wanted) -> tuple[Array, float] | None:
         """(24.24): where something differs that is likelier the thing, over other ground than before, than another;
         None if it is not.
         """
-        here, middle = self._differs(changed, reach), (patch.image.shape[0] - 1) // 2
-        far = self._far(_places(patch, reach))
-        j, i = np.unravel_index(int(np.argmax(here - PRIOR_WEIGHT * far)), here.shape)
-        at = np.array([i, j]) - reach + middle
-        if here[j, i] < SURE_DIFFERENCE or not self._is_size_known:
+        patch, changed = found.patch, found.changed
+        if changed is None or found.differs is None or not self._is_size_known:
             return None
-        half = wanted.mask.shape[0] // 2
+        j, i = np.unravel_index(int(np.argmax(found.differs - PRIOR_WEIGHT * found.far)), found.far.shape)
+        if found.differs[j, i] < SURE_DIFFERENCE:
+            return None
+        at, half = found.at(int(j), int(i)), wanted.mask.shape[0] // 2
         parts = np.stack([patch.image, changed.behind, changed.sigma])
         ratio = max(
             wanted.log_ratio(*parts[:, y - half : y + half + 1, x - half : x + half + 1])
@@ -260,22 +291,9 @@ class Follower:
         )
         others = max((self._m_px / OTHERS_APART_M) ** 2, wanted.others(changed.surely, at))
         spread_px2 = 2.0 * np.pi * float(np.sqrt(np.linalg.det(self._cov[:2, :2] + 0.25 * np.eye(2))))
-        if ratio - 0.5 * float(far[j, i]) - float(np.log(spread_px2 * others)) < SURE_ODDS:
+        if ratio - 0.5 * float(found.far[j, i]) - float(np.log(spread_px2 * others)) < SURE_ODDS:
             return None
         return self._centred(changed.surely, at, patch)
-
-    def _far(self, places: Array) -> Array:
-        """The squared distances (...) of places (..., 2) from the prediction, over its covariance."""
-        off = places - self._uv
-        out: Array = np.einsum("...k,kl,...l->...", off, np.linalg.inv(self._cov[:2, :2] + 0.25 * np.eye(2)), off)
-        return out
-
-    def _differs(self, changed: Change, reach: int) -> Image:
-        """How surely a thing of its size at each place of the window is something that was not there before."""
-        middle = (changed.surely.shape[0] - 1) // 2
-        cover = cv2.GaussianBlur(changed.surely, (0, 0), max(0.3 * self._size, 0.8))
-        window = slice(middle - reach, middle + reach + 1)
-        return np.asarray(np.clip(1.6 * cover[window, window], 0.0, 1.0), np.float32)
 
     def _without_uncovered(self, surely: Image, at: Array) -> Image:
         """The change without the part about `at`, where the thing stood: as it leaves it uncovers ground, of
@@ -332,15 +350,13 @@ class Follower:
         wide = np.maximum(np.abs(rows - at[1]), np.abs(columns - at[0])) <= max(1.3 * self._size, 4.0)
         return SIZE_BY_ROOT * float(np.sqrt((changed * wide).sum()))
 
-    def _remember(
-        self, changed: Change | None = None, corner: Corner | None = None, wanted: Wanted | None = None
-    ) -> None:
+    def _remember(self, changed: Change | None = None, wanted: Wanted | None = None) -> None:
         """Keep how it looks now, next to how it looked OLD_S ago; with its cover by what has changed about it."""
         half = self._half()
         patch = cut(self._seen, self._uv, int(1.5 * half) + 2)
         if patch.inside is not None:
             return
-        cover = cover_of(patch, changed, patch.corner if corner is None else corner, wanted, self._uv)
+        cover = cover_of(patch, changed, wanted, self._uv)
         new = Look(self._seen.stamp_ns, patch, self._uv.copy(), self._known_velocity(), np.eye(2), cover)
         old = [look for look in self._looks if new.stamp_ns - look.stamp_ns >= OLD_S * 1e9]
         if not self._looks:
@@ -388,13 +404,6 @@ class Follower:
                     self._uv = middles[k] + patch.corner
                 return True
         return False
-
-
-def _places(patch: Patch, reach: int) -> Array:
-    """The pixels (2 reach + 1, 2 reach + 1, 2) about the middle of a patch."""
-    steps = np.arange(-reach, reach + 1, dtype=float)
-    out: Array = np.stack(np.meshgrid(steps, steps), axis=-1) + patch.corner + (patch.image.shape[0] - 1) // 2
-    return out
 
 
 def _within(size_px: float) -> float:

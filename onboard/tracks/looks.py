@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import cv2
 import numpy as np
@@ -19,7 +20,6 @@ from onboard.tracks.backdrop import CERTAIN, Change, Patch
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
-Corner = NDArray[np.int64]
 
 LEARNED = 0.3  # of what the newest picture shows of a pixel's cover, where thing and ground differ
 OTHER_GREY = 64.0  # one sigma of another thing's grey levels about the ground's
@@ -105,6 +105,11 @@ class Wanted:
         return float(surely[away].mean() / max(float(self.cover.sum()), 1.0)) if away.any() else 0.0
 
     @cached_property
+    def has_cover(self) -> bool:
+        """Return whether enough of the thing's cover is known."""
+        return float(self.cover.sum()) >= LEAST_COVER_PX
+
+    @cached_property
     def inside(self) -> tuple[Image, Image, Image]:
         """The share of each pixel that is the thing's, one sigma of it, and the thing's own grey there. (24.23)
 
@@ -121,7 +126,7 @@ class Wanted:
 
         The three (2 half + 1) squared, about the place. -inf where the thing's cover is not known.
         """
-        if image.shape != self.cover.shape or float(self.cover.sum()) < LEAST_COVER_PX:
+        if not self.has_cover:
             return -np.inf
         (cover, rim, grey), off, noise = self.inside, image - behind, sigma * sigma
         level = float(behind.mean())
@@ -134,31 +139,30 @@ class Wanted:
         return min(by_other, by_ground)
 
 
-def cover_of(patch: Patch, changed: Change | None, corner: Corner, wanted: Wanted | None, uv_px: Array) -> Image:
+def cover_of(patch: Patch, changed: Change | None, wanted: Wanted | None, uv_px: Array) -> Image:
     """Return the cover of a new look: what `wanted` had at `uv_px`, and what differs now where thing and ground do.
 
-    `changed` is of a patch at `corner`; beyond it, and without it, the cover stays as it was.
+    Beyond what `changed` is of, and without it, the cover stays as it was.
     """
     size = patch.image.shape[0]
-    before, grey = (np.zeros((size, size), np.float32) for _ in range(2))
-    if wanted is not None and float(wanted.cover.sum()) >= LEAST_COVER_PX:
-        half = wanted.mask.shape[0] // 2
-        shift = uv_px - patch.corner - half
-        M = np.array([[1.0, 0.0, shift[0]], [0.0, 1.0, shift[1]]])
-        before = np.asarray(cv2.warpAffine(wanted.cover, M, (size, size), borderValue=0.0), np.float32)
-        grey = np.asarray(
-            cv2.warpAffine(wanted.inside[2], M, (size, size), borderMode=cv2.BORDER_REPLICATE), np.float32
-        )
+
+    def on_patch(values: Image, by: NDArray[Any], fill: float) -> Image:
+        M = np.column_stack([np.eye(2), by])
+        return np.asarray(cv2.warpAffine(values, M, (size, size), borderValue=fill), np.float32)
+
+    surely = np.zeros((size, size), np.float32)
+    if changed is not None:
+        moved = changed.corner - patch.corner
+        surely = on_patch(changed.surely, moved, 0.0)
+    if wanted is None or not wanted.has_cover:
+        return surely
+    shift = uv_px - patch.corner - wanted.mask.shape[0] // 2
+    before = on_patch(wanted.cover, shift, 0.0)
     if changed is None:
         return before
-    M = np.array([[1.0, 0.0, corner[0] - patch.corner[0]], [0.0, 1.0, corner[1] - patch.corner[1]]])
-    surely, behind, sigma = (
-        np.asarray(cv2.warpAffine(part, M, (size, size), borderValue=fill), np.float32)
-        for part, fill in ((changed.surely, 0.0), (changed.behind, 0.0), (changed.sigma, 1e6))
-    )
-    if wanted is None or float(wanted.cover.sum()) < LEAST_COVER_PX:
-        return surely
-    shows = np.abs(grey - behind) > CERTAIN * sigma
+    M = np.column_stack([np.eye(2), shift])
+    grey = cv2.warpAffine(wanted.inside[2], M, (size, size), borderMode=cv2.BORDER_REPLICATE)
+    shows = np.abs(grey - on_patch(changed.behind, moved, 0.0)) > CERTAIN * on_patch(changed.sigma, moved, 1e6)
     return np.where(shows | (before < surely), before + np.float32(LEARNED) * (surely - before), before)
 
 

@@ -35,8 +35,8 @@ def wanted(rng: np.random.Generator) -> Wanted:
     patch = Patch(image, np.zeros(2, np.int64))
     middle = np.array([HALF, HALF], float)
     differs = np.clip((np.abs(image - ground) / SIGMA - 2.5) / 3.5, 0.0, 1.0).astype(np.float32)
-    change = Change(differs, ground, np.full_like(ground, SIGMA))
-    cover = cover_of(patch, change, patch.corner, None, middle)
+    change = Change(patch.corner, differs, ground, np.full_like(ground, SIGMA))
+    cover = cover_of(patch, change, None, middle)
     look = Look(0, patch, middle, np.zeros(2), np.eye(2), cover)
     return Wanted.of([look], HALF, 5.0, np.zeros(2), SPREAD)
 
@@ -66,7 +66,7 @@ def test_without_a_cover_nothing_is_weighed() -> None:
     ground = ground_of(90.0, rng)
     patch = Patch(ground, np.zeros(2, np.int64))
     middle = np.array([HALF, HALF], float)
-    look = Look(0, patch, middle, np.zeros(2), np.eye(2), cover_of(patch, None, patch.corner, None, middle))
+    look = Look(0, patch, middle, np.zeros(2), np.eye(2), cover_of(patch, None, None, middle))
     one = Wanted.of([look], HALF, 5.0, np.zeros(2), SPREAD)
     assert one.log_ratio(ground, ground, np.full_like(ground, SIGMA)) == -np.inf
 
@@ -78,9 +78,9 @@ def test_the_cover_keeps_what_the_ground_hides() -> None:
     same = np.full(COVER.shape, 150.0, np.float32)
     patch = Patch(over(same, 150.0, rng), np.zeros(2, np.int64))
     middle = np.array([HALF, HALF], float)
-    nothing = Change(np.zeros_like(same), same, np.full_like(same, 12.0))
-    kept = cover_of(patch, nothing, patch.corner, one, middle)
+    nothing = Change(patch.corner, np.zeros_like(same), same, np.full_like(same, 12.0))
+    kept = cover_of(patch, nothing, one, middle)
     assert float(kept.sum()) == pytest.approx(float(one.cover.sum()), rel=0.05)
-    dark = Change(np.zeros_like(same), np.full_like(same, 60.0), np.full_like(same, 2.0))
-    gone = cover_of(patch, dark, patch.corner, one, middle)
+    dark = Change(patch.corner, np.zeros_like(same), np.full_like(same, 60.0), np.full_like(same, 2.0))
+    gone = cover_of(patch, dark, one, middle)
     assert 0.6 * float(one.cover.sum()) < float(gone.sum()) < 0.8 * float(one.cover.sum())
