@@ -7,7 +7,7 @@ import json
 import sys
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 
 from contract.camera import Camera
@@ -116,21 +116,21 @@ def _check(args: argparse.Namespace) -> None:
     """Raise UsageError for options that need another one or cannot be, InputError for files that cannot be written."""
     if args.cell is not None and not LEAST_CELL_M <= args.cell <= MOST_CELL_M:
         raise UsageError(f"--cell must be from {LEAST_CELL_M:g} to {MOST_CELL_M:g} m")
-    for path in args.out:
-        if path.suffix.lower() not in WRITERS:
-            raise UsageError(f"--out {path}: the name must end in {', '.join(sorted(WRITERS))}")
-        if not path.parent.is_dir():
-            raise InputError(f"--out {path}: there is no folder {path.parent}")
+    _check_files("--out", args.out, WRITERS)
     given = [args.by, args.below, args.woods, args.look, args.height, args.overlap, args.fly or None]
     if not args.pod and any(value is not None for value in given):
         raise UsageError("--by, --below, --woods, --look, --fly, --height and --overlap go with --pod")
     if args.overlap is not None and args.overlap > MOST_OVERLAP:
         raise UsageError(f"--overlap is at most {MOST_OVERLAP:g}")
-    for path in args.fly:
-        if path.suffix.lower() not in FORMATS:
-            raise UsageError(f"--fly {path}: the name must end in {', '.join(sorted(FORMATS))}")
+    _check_files("--fly", args.fly, FORMATS)
+
+
+def _check_files(option: str, paths: Sequence[Path], suffixes: Collection[str]) -> None:
+    for path in paths:
+        if path.suffix.lower() not in suffixes:
+            raise UsageError(f"{option} {path}: the name must end in {', '.join(sorted(suffixes))}")
         if not path.parent.is_dir():
-            raise InputError(f"--fly {path}: there is no folder {path.parent}")
+            raise InputError(f"{option} {path}: there is no folder {path.parent}")
 
 
 def _write_rows(args: argparse.Namespace, searched: Searched, shown: Coverage, camera: Camera) -> None:
@@ -151,7 +151,7 @@ def _write_rows(args: argparse.Namespace, searched: Searched, shown: Coverage, c
 
 
 def _warn(seen: SeenGround) -> None:
-    """What is left out, for the error output."""
+    """Print to the error output what is left out."""
     if seen.too_large:
         print(
             f"pc-ground: warning: {seen.too_large} pictures cover too many cells: choose larger --cell", file=sys.stderr

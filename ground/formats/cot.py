@@ -18,10 +18,11 @@ import numpy as np
 from contract.errors import InputError
 from contract.feature_set import FeatureSet, HeightDatum
 from contract.track import TrackReport, TrackState
+from contract.xml_text import element
 from ground.circular_error import CE90_SIGMAS, LE90_SIGMAS, ce90_m, le90_m
 from ground.formats.imported import Imported, entered_pin
 from ground.formats.mark import MACHINE, Mark
-from ground.formats.xml_text import element, parsed
+from ground.formats.xml_text import parsed
 from ground.pins.model import Pin
 
 UNKNOWN = "9999999.0"

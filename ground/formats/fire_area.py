@@ -8,8 +8,7 @@ from pathlib import PurePath
 from typing import Any
 
 from contract.answer import time_utc
-from ground.formats.kml import NAMESPACE
-from ground.formats.xml_text import document, element
+from contract.xml_text import KML, document, element
 from ground.spots.fire import Area, Fire, Ring
 
 FORMATS = {".geojson": "geojson", ".json": "geojson", ".kml": "kml"}
@@ -43,9 +42,9 @@ def features(fire: Fire) -> dict[str, Any]:
 
 def _kml(fire: Fire) -> str:
     def tag(name: str) -> str:
-        return f"{{{NAMESPACE}}}{name}"
+        return f"{{{KML}}}{name}"
 
-    ET.register_namespace("", NAMESPACE)
+    ET.register_namespace("", KML)
     root = element(None, tag("kml"))
     body = element(root, tag("Document"))
     element(body, tag("name"), "pointclick fire")

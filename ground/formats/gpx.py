@@ -10,11 +10,12 @@ from collections.abc import Sequence
 from functools import partial
 
 from contract.errors import InputError
+from contract.xml_text import document, element
 from ground.circular_error import CE90_SIGMAS, LE90_SIGMAS
 from ground.formats.coordinates import Grid, figure, shape_values
 from ground.formats.imported import Imported, entered_pin
 from ground.formats.mark import Mark
-from ground.formats.xml_text import document, element, parsed
+from ground.formats.xml_text import parsed
 from ground.pins.model import Pin
 
 NAMESPACE = "http://www.topografix.com/GPX/1/1"

@@ -12,14 +12,14 @@ from functools import partial
 
 from contract.errors import InputError
 from contract.geodesy import LocalFrame
+from contract.xml_text import KML, document, element
 from ground.circular_error import CE90_SIGMAS, LE90_SIGMAS
 from ground.formats.coordinates import Grid, figure, shape_values
 from ground.formats.imported import Imported, entered_pin
 from ground.formats.mark import Mark
-from ground.formats.xml_text import MAX_BYTES, document, element, parsed
+from ground.formats.xml_text import MAX_BYTES, parsed
 from ground.pins.model import Pin
 
-NAMESPACE = "http://www.opengis.net/kml/2.2"
 # aabbggrr, as in KML; a letter next to the colour is in the name of the style.
 _COLOURS = {"person": "ff00a5ff", "vehicle": "ffff901e", "fire": "ff0000ff", "hazard": "ff00ffff", "poi": "ff98fb98"}
 _ELLIPSE_POINTS = 32
@@ -28,14 +28,14 @@ ELLIPSES = "90 % ellipses"
 
 def write(marks: Sequence[Mark], grid: Grid | None = None) -> str:
     """A document of placemarks, each with its 90 % ellipse; one without a position has no geometry, and states why."""
-    ET.register_namespace("", NAMESPACE)
-    root = element(None, f"{{{NAMESPACE}}}kml")
-    body = element(root, f"{{{NAMESPACE}}}Document")
-    element(body, f"{{{NAMESPACE}}}name", "pointclick")
+    ET.register_namespace("", KML)
+    root = element(None, f"{{{KML}}}kml")
+    body = element(root, f"{{{KML}}}Document")
+    element(body, f"{{{KML}}}name", "pointclick")
     for category, colour in _COLOURS.items():
-        style = element(body, f"{{{NAMESPACE}}}Style", id=category)
-        element(element(style, f"{{{NAMESPACE}}}IconStyle"), f"{{{NAMESPACE}}}color", colour)
-        element(element(style, f"{{{NAMESPACE}}}LineStyle"), f"{{{NAMESPACE}}}color", colour)
+        style = element(body, f"{{{KML}}}Style", id=category)
+        element(element(style, f"{{{KML}}}IconStyle"), f"{{{KML}}}color", colour)
+        element(element(style, f"{{{KML}}}LineStyle"), f"{{{KML}}}color", colour)
     pins = _folder(body, "pins")
     for mark in marks:
         _placemark(pins, mark, grid)
@@ -43,24 +43,24 @@ def write(marks: Sequence[Mark], grid: Grid | None = None) -> str:
     ellipses = _folder(body, ELLIPSES)
     for mark in marks:
         if mark.is_placed and mark.ellipse is not None:
-            place = element(ellipses, f"{{{NAMESPACE}}}Placemark")
-            element(place, f"{{{NAMESPACE}}}name", mark.title)
-            element(place, f"{{{NAMESPACE}}}styleUrl", f"#{mark.category}")
-            line = element(place, f"{{{NAMESPACE}}}LineString")
-            element(line, f"{{{NAMESPACE}}}tessellate", "1")
-            element(line, f"{{{NAMESPACE}}}coordinates", " ".join(f"{x:.7f},{y:.7f}" for x, y in outline(mark)))
+            place = element(ellipses, f"{{{KML}}}Placemark")
+            element(place, f"{{{KML}}}name", mark.title)
+            element(place, f"{{{KML}}}styleUrl", f"#{mark.category}")
+            line = element(place, f"{{{KML}}}LineString")
+            element(line, f"{{{KML}}}tessellate", "1")
+            element(line, f"{{{KML}}}coordinates", " ".join(f"{x:.7f},{y:.7f}" for x, y in outline(mark)))
     return document(root)
 
 
 def _folder(body: ET.Element, name: str) -> ET.Element:
-    made = element(body, f"{{{NAMESPACE}}}Folder")
-    element(made, f"{{{NAMESPACE}}}name", name)
+    made = element(body, f"{{{KML}}}Folder")
+    element(made, f"{{{KML}}}name", name)
     return made
 
 
 def _placemark(body: ET.Element, mark: Mark, grid: Grid | None) -> None:
     def tag(name: str) -> str:
-        return f"{{{NAMESPACE}}}{name}"
+        return f"{{{KML}}}{name}"
 
     place = element(body, tag("Placemark"))
     element(place, tag("name"), mark.title)

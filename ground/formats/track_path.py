@@ -9,8 +9,7 @@ from pathlib import PurePath
 
 from contract.answer import Place, time_utc
 from contract.track import TrackReport
-from ground.formats.kml import NAMESPACE
-from ground.formats.xml_text import document, element
+from contract.xml_text import KML, document, element
 
 GX = "http://www.google.com/kml/ext/2.2"
 FORMATS = {".geojson": "geojson", ".json": "geojson", ".kml": "kml"}
@@ -43,20 +42,20 @@ def _geojson(placed: Sequence[tuple[TrackReport, Place]]) -> str:
 
 
 def _kml(placed: Sequence[tuple[TrackReport, Place]]) -> str:
-    ET.register_namespace("", NAMESPACE)
+    ET.register_namespace("", KML)
     ET.register_namespace("gx", GX)
-    root = element(None, f"{{{NAMESPACE}}}kml")
-    body = element(root, f"{{{NAMESPACE}}}Document")
-    element(body, f"{{{NAMESPACE}}}name", "pointclick tracks")
+    root = element(None, f"{{{KML}}}kml")
+    body = element(root, f"{{{KML}}}Document")
+    element(body, f"{{{KML}}}name", "pointclick tracks")
     for number in dict.fromkeys(report.number for report, _ in placed):
         own = [(report, place) for report, place in placed if report.number == number]
-        mark = element(body, f"{{{NAMESPACE}}}Placemark")
-        element(mark, f"{{{NAMESPACE}}}name", f"track {number} of {own[0][0].vehicle}")
-        element(mark, f"{{{NAMESPACE}}}description", own[-1][0].course_text)
+        mark = element(body, f"{{{KML}}}Placemark")
+        element(mark, f"{{{KML}}}name", f"track {number} of {own[0][0].vehicle}")
+        element(mark, f"{{{KML}}}description", own[-1][0].course_text)
         path = element(mark, f"{{{GX}}}Track")
-        element(path, f"{{{NAMESPACE}}}altitudeMode", "clampToGround")
+        element(path, f"{{{KML}}}altitudeMode", "clampToGround")
         for report, _ in own:
-            element(path, f"{{{NAMESPACE}}}when", time_utc(report.capture_unix_ns))
+            element(path, f"{{{KML}}}when", time_utc(report.capture_unix_ns))
         for _, place in own:
             element(path, f"{{{GX}}}coord", f"{place.lon_deg:.9f} {place.lat_deg:.9f} 0")
     return document(root)

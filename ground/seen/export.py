@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 from contract.answer import time_utc
 from contract.errors import InputError
+from contract.xml_text import KML, element
+from contract.xml_text import document as xml_document
 from ground.seen.coverage import Coverage
 from ground.seen.outline import Patch, patches
 from ground.seen.searched import Searched, area_text
@@ -21,7 +23,6 @@ from ground.seen.tally import TILE, SeenGround
 
 Array = NDArray[np.float64]
 
-KML = "http://www.opengis.net/kml/2.2"
 DIGITS = 8  # of degrees: a millimetre
 BANDS = (
     ("count", "pictures that saw it; 0 in the searched area: a gap"),
@@ -40,13 +41,13 @@ def write(path: Path, seen: SeenGround, found: Coverage, searched: Searched | No
     """Write the format that the file's name ends with, as a whole or not at all. Raises InputError."""
     writer = WRITERS.get(path.suffix.lower())
     if writer is None:
-        raise InputError(f"--to {path}: the name must end in {', '.join(sorted(WRITERS))}")
+        raise InputError(f"--out {path}: the name must end in {', '.join(sorted(WRITERS))}")
     half = path.with_name(f".{path.stem}.half{path.suffix}")
     try:
         writer(half, seen, found, searched)
         os.replace(half, path)  # noqa: PTH105
     except OSError as error:
-        raise InputError(f"--to {path}: {error.strerror or error}") from error
+        raise InputError(f"--out {path}: {error.strerror or error}") from error
     finally:
         half.unlink(missing_ok=True)
 
@@ -101,21 +102,20 @@ def _write_geojson(path: Path, _: SeenGround, found: Coverage, searched: Searche
 def _write_kml(path: Path, _: SeenGround, found: Coverage, searched: Searched | None) -> None:
     """The gaps as polygons: of what was not seen, or with `searched` of what would not have been found."""
     ET.register_namespace("", KML)
-    root = ET.Element(f"{{{KML}}}kml")
-    body = ET.SubElement(root, f"{{{KML}}}Document")
+    root = element(None, f"{{{KML}}}kml")
+    body = element(root, f"{{{KML}}}Document")
     why = "not seen" if searched is None else f"below {searched.below:g} by {searched.who}"
-    ET.SubElement(body, f"{{{KML}}}name").text = f"gaps: {why}"
+    element(body, f"{{{KML}}}name", f"gaps: {why}")
     for number, gap in enumerate(found.gaps if searched is None else searched.gaps, 1):
-        place = ET.SubElement(body, f"{{{KML}}}Placemark")
-        ET.SubElement(place, f"{{{KML}}}name").text = f"gap {number}"
-        ET.SubElement(place, f"{{{KML}}}description").text = f"{area_text(gap.area_m2)} {why}"
-        polygon = ET.SubElement(place, f"{{{KML}}}Polygon")
+        place = element(body, f"{{{KML}}}Placemark")
+        element(place, f"{{{KML}}}name", f"gap {number}")
+        element(place, f"{{{KML}}}description", f"{area_text(gap.area_m2)} {why}")
+        polygon = element(place, f"{{{KML}}}Polygon")
         for kind, ring in [("outer", gap.patch.outer), *(("inner", hole) for hole in gap.patch.holes)]:
-            line = ET.SubElement(ET.SubElement(polygon, f"{{{KML}}}{kind}BoundaryIs"), f"{{{KML}}}LinearRing")
+            line = element(element(polygon, f"{{{KML}}}{kind}BoundaryIs"), f"{{{KML}}}LinearRing")
             corners = " ".join(f"{lon:.8f},{lat:.8f}" for lon, lat in _closed(ring, found))
-            ET.SubElement(line, f"{{{KML}}}coordinates").text = corners
-    ET.indent(root)
-    ET.ElementTree(root).write(path, encoding="UTF-8", xml_declaration=True)
+            element(line, f"{{{KML}}}coordinates", corners)
+    path.write_text(xml_document(root), encoding="utf-8")
 
 
 def _write_geotiff(path: Path, seen: SeenGround, found: Coverage, searched: Searched | None) -> None:
@@ -149,7 +149,7 @@ def _write_geotiff(path: Path, seen: SeenGround, found: Coverage, searched: Sear
                     strip = np.concatenate([strip, _pod_strip(found, searched, low, high)])
                 out.write(strip[:, ::-1], window=Window(0, above, columns, strip.shape[1]))
     except RasterioError as error:
-        raise InputError(f"--to {path}: {error}") from error
+        raise InputError(f"--out {path}: {error}") from error
 
 
 def _strip(seen: SeenGround, found: Coverage, low: int, high: int) -> Array:

@@ -11,9 +11,9 @@ import json
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
 
+from contract.xml_text import KML, document, element
 from ground.seen.flight_rows import SPEED_M_S, FlightRows
 
-KML = "http://www.opengis.net/kml/2.2"
 NAV_WAYPOINT = 16  # MAV_CMD
 GLOBAL, RELATIVE = 0, 3  # MAV_FRAME: height above the sea, above home
 ABOVE_HOME = 1  # QGroundControl's altitude mode
@@ -52,36 +52,23 @@ def waypoints(rows: FlightRows) -> str:
 
 def _line(number: int, frame: int, point: tuple[float, float], height_m: float) -> str:
     is_current = int(number == 0)
-    values = [
-        number,
-        is_current,
-        frame,
-        NAV_WAYPOINT,
-        0,
-        0,
-        0,
-        0,
-        f"{point[0]:.8f}",
-        f"{point[1]:.8f}",
-        f"{height_m:.1f}",
-        1,
-    ]
+    at = f"{point[0]:.8f}", f"{point[1]:.8f}", f"{height_m:.1f}"
+    values = [number, is_current, frame, NAV_WAYPOINT, 0, 0, 0, 0, *at, 1]
     return "\t".join(map(str, values))
 
 
 def kml(rows: FlightRows) -> str:
     """The way as a line, above the ground."""
     ET.register_namespace("", KML)
-    root = ET.Element(f"{{{KML}}}kml")
-    place = ET.SubElement(ET.SubElement(root, f"{{{KML}}}Document"), f"{{{KML}}}Placemark")
-    ET.SubElement(place, f"{{{KML}}}name").text = "rows over the gaps"
-    ET.SubElement(place, f"{{{KML}}}description").text = rows.to_text()
-    line = ET.SubElement(place, f"{{{KML}}}LineString")
-    ET.SubElement(line, f"{{{KML}}}altitudeMode").text = "relativeToGround"
+    root = element(None, f"{{{KML}}}kml")
+    place = element(element(root, f"{{{KML}}}Document"), f"{{{KML}}}Placemark")
+    element(place, f"{{{KML}}}name", "rows over the gaps")
+    element(place, f"{{{KML}}}description", rows.to_text())
+    line = element(place, f"{{{KML}}}LineString")
+    element(line, f"{{{KML}}}altitudeMode", "relativeToGround")
     corners = (f"{lon:.8f},{lat:.8f},{rows.height_m:.1f}" for lat, lon in _points(rows))
-    ET.SubElement(line, f"{{{KML}}}coordinates").text = " ".join(corners)
-    ET.indent(root)
-    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+    element(line, f"{{{KML}}}coordinates", " ".join(corners))
+    return document(root)
 
 
 def _points(rows: FlightRows) -> list[tuple[float, float]]:
