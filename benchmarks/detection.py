@@ -1,4 +1,4 @@
-"""Who would have been found: the stated probability of detection against the share that was found.
+"""The stated probability of detection against the share of people that was found.
 
     python -m benchmarks.detection [--flights 30] [--pictures 50] [--seed 0]
 

@@ -1,7 +1,7 @@
 """A click on a video whose picture is not known, only about when it was taken: a position whose error has that too.
 
 The sets of the pictures around that moment each place the pixel; how far its place moves in a second is what the
-moment's error costs. Section 30 of docs/mathematics-clock.md. NumPy only.
+moment's error costs. Section 31 of docs/mathematics-clock.md. NumPy only.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.answer import Answer, Ellipse, Fix, Refusal
+from contract.camera import Camera
 from contract.feature_set import FeatureSet, Status
 from contract.geodesy import LocalFrame
 from contract.locate import Locator
@@ -51,7 +52,7 @@ def locate_untimed(
         return UntimedClick(Refusal(Status.STALE, detail="no picture was placed at the time of the click"), nothing)
     late_s = np.array([(s.capture_unix_ns - moment_unix_ns) / 1e9 for s in near])
     weights = np.maximum(np.exp(-0.5 * (late_s / max(sigma_s, 1e-3)) ** 2), LEAST_WEIGHT)
-    answers = [_clicked(s, share) for s in near]
+    answers = [Locator(s).locate(pixel_at(s.camera, share)) for s in near]
     answered = np.array([isinstance(answer, Fix) for answer in answers])
     middle = answers[int(np.argmin(np.abs(late_s)))]
     if float(np.sum(weights[answered])) <= 0.5 * float(np.sum(weights)):
@@ -78,10 +79,9 @@ def _around(sets: Sequence[FeatureSet], moment_unix_ns: int, sigma_s: float) -> 
     return [near[round(k)] for k in np.linspace(0, len(near) - 1, MOST_SETS)]
 
 
-def _clicked(feature_set: FeatureSet, share: tuple[float, float]) -> Answer:
-    camera = feature_set.camera
-    uv_px = share[0] * camera.width_px - 0.5, share[1] * camera.height_px - 0.5
-    return Locator(feature_set).locate(uv_px)
+def pixel_at(camera: Camera, share: tuple[float, float]) -> tuple[float, float]:
+    """Return the pixel at shares of a picture's width and height, 0 to 1 from its left and its top edge."""
+    return share[0] * camera.width_px - 0.5, share[1] * camera.height_px - 0.5
 
 
 def _joined(fixes: list[Fix], late_s: Array, weights: Array, sigma_s: float) -> UntimedClick:

@@ -101,7 +101,7 @@ class GroundCamera:
 
     @property
     def state(self) -> str:
-        """How it goes, in a line."""
+        """The state in a line for people."""
         system = self._its_system()
         if system is None:
             several = ", ".join(map(str, sorted(self._systems)))

@@ -72,7 +72,7 @@ class MavlinkLink:
 
     def __init__(self, endpoint: MavlinkEndpoint) -> None:
         self._wire, self._dialect, self._place = opened_wire(endpoint)
-        self._endpoint, e = endpoint, endpoint
+        self._endpoint = e = endpoint
         self._mav: Any = self._dialect.MAVLink(None, srcSystem=e.system, srcComponent=e.component)
         self._mav.robust_parsing = True
         self._wire.mav = self._mav

@@ -23,7 +23,7 @@ from contract.locate import Locator
 from contract.mavlink_camera.end import Answered, Asked, Clicked, VideoClick, View, ViewQuestion
 from contract.supervised_thread import SupervisedThread, WokenWork
 from contract.track import StartTrack, StopTrack, TrackReport, parameters_of
-from contract.untimed_click import UntimedClick, locate_untimed
+from contract.untimed_click import UntimedClick, locate_untimed, pixel_at
 from contract.wire.track_code import decode_tracks
 
 MAX_ASKED = 4  # that wait for this thread
@@ -200,8 +200,7 @@ class CameraClicks(WokenWork):
             entry = self._sets.entry(fix.frame)
         if self.follow is None or entry is None:
             return False, ""
-        camera = entry.item.camera
-        uv_px = click.share[0] * camera.width_px - 0.5, click.share[1] * camera.height_px - 0.5
+        uv_px = pixel_at(entry.item.camera, click.share)
         payload, is_refusal = self.follow(parameters_of(StartTrack(*uv_px, fix.frame)))
         content = json.loads(payload)
         if is_refusal:

@@ -172,7 +172,7 @@ class MavlinkCamera:
         return ACCEPTED
 
     def _set_interval(self, command: _Command, now_ns: int) -> int | None:
-        """Of 0, the default rate, there is none: nothing is sent by itself."""
+        """Set an interval, or end it: -1 does, and 0, the default rate, for nothing is sent by itself."""
         wanted, interval_us = _whole(command.parameters[0]), command.parameters[1]
         if wanted not in STREAMED or not math.isfinite(interval_us):
             return DENIED
@@ -294,7 +294,7 @@ class MavlinkCamera:
         return None if self._fix is None else self._facts.geo_of_fix(self._fix, is_followed=self._end.is_following)
 
     def _stream(self, now_ns: int) -> None:
-        """What was asked for in intervals: what is followed, then once that it no longer is; and the view."""
+        """Send what was asked for in intervals and is due: what is followed, once that it is no longer, the view."""
         for wanted, (interval_ns, due_ns) in self._intervals.items():
             if now_ns < due_ns:
                 continue
@@ -311,7 +311,8 @@ class MavlinkCamera:
                 self._was_followed = report is not None
 
     def _show(self, severity: int, text: str, now_ns: int) -> None:
-        if (text, True) != (self._shown[0], now_ns - self._shown[1] < SAME_TEXT_NS):
+        shown, shown_ns = self._shown
+        if text != shown or now_ns - shown_ns >= SAME_TEXT_NS:
             self._shown = text, now_ns
             self._texts.add(severity, text)
 

@@ -1,4 +1,4 @@
-"""What a MAVLink camera component states, as messages of pymavlink: functions of what is known.
+"""The statements of a MAVLink camera component as messages of pymavlink: functions of what is known.
 
 Fields by MAVLink's common.xml. The standard gives no confidence for an accuracy: all are stated at 90 %, as everywhere
 here, so that who takes them for one sigma is on the safe side.
@@ -71,7 +71,10 @@ class Stream:
 
 @dataclass(frozen=True)
 class CameraFacts:
-    """What does not change in flight. `boot_ns`: when the camera began, on the clock of the messages' stamps."""
+    """The facts of a camera that do not change in flight.
+
+    `boot_ns`: when the camera began, on the clock of the messages' stamps.
+    """
 
     dialect: Any
     name: str

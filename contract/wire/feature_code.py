@@ -182,7 +182,7 @@ def _undistortion(camera: Camera) -> tuple[list[float], bool]:
 
 
 def _by_angle(r2: Array, grown: Array) -> Array:
-    """How much a fisheye's distorted coordinates grow to be tangents, at squared radii (N,), whose angles `grown` has.
+    """The growth of a fisheye's distorted coordinates to tangents, at squared radii (N,), whose angles `grown` has.
 
     (30.1)
     """
