@@ -80,7 +80,7 @@ class GroundCamera:
         self._wire.mav = self._mav
         self._camera: MavlinkCamera | None = None
         self.clicks = CameraClicks(vehicle, options.delay_s, math.hypot(options.sigma_delay_s, CLOCK_SIGMA_S))
-        self.clicks.follow = self._follow
+        self.clicks.follow, self.clicks.stamped_ago_s = self._follow, self._stamped_ago_s
         self._link = endpoint, tls
         try:
             self._cache = SetCache(
@@ -164,6 +164,9 @@ class GroundCamera:
         if newest is None or age_s is None or not self._cache.is_certain(self._vehicle):
             return 0
         return newest.capture_unix_ns + round(age_s * 1e9)
+
+    def _stamped_ago_s(self, unix_ns: int) -> float:
+        return self._cache.stamped_ago_s(self._vehicle, unix_ns)
 
     def _on_set(self, found: FeatureSet, size: int) -> None:
         self.clicks.feature_set(found)

@@ -8,6 +8,7 @@ taken answer it, and those to come are waited for a little.
 from __future__ import annotations
 
 import json
+import math
 import time
 from collections import deque
 from collections.abc import Callable
@@ -22,7 +23,8 @@ from contract.history import History
 from contract.locate import Locator
 from contract.mavlink_camera.end import Answered, Asked, Clicked, VideoClick, View, ViewQuestion
 from contract.supervised_thread import SupervisedThread, WokenWork
-from contract.track import StartTrack, StopTrack, TrackReport, parameters_of
+from contract.track import StartTrack, StopTrack, TrackReport, Unseen, parameters_of
+from contract.track_age import as_of
 from contract.untimed_click import UntimedClick, locate_untimed, pixel_at
 from contract.wire.track_code import decode_tracks
 
@@ -32,7 +34,7 @@ MAX_SETS = 600
 WAIT_S = 1.0  # for the sets of pictures that are taken while the click arrives
 IDLE_S = 0.5
 POLL_S = 0.05
-SILENT_S = 3.0  # without a report, after which what was followed is not any more
+SILENT_S = 3.0  # without a report, or a pose, after which what was followed, or the view, is not any more
 REST = 1.0  # of the time that it worked, in which it leaves the processor to others
 MOST_REST_S = 0.1
 
@@ -54,7 +56,8 @@ class _Followed:
 
 class CameraClicks(WokenWork):
     """A sink of the daemon's, and a `CameraEnd`. A click arrives `delay_s` after its picture was taken, with one sigma
-    of `sigma_delay_s`. `monotonic_s` is a clock; `follow` is set where things are followed.
+    of `sigma_delay_s`. `monotonic_s` is a clock; `follow` is set where things are followed, `stamped_ago_s` (how long
+    ago the aircraft stamped something so, Unix ns) where that is known: without it, what has come is new as it comes.
     """
 
     def __init__(
@@ -64,11 +67,13 @@ class CameraClicks(WokenWork):
         self._delay_s, self._sigma_s = delay_s, sigma_delay_s
         self._vehicle, self._monotonic_s = vehicle, monotonic_s
         self.follow: Follow | None = None
+        self.stamped_ago_s: Callable[[int], float] = lambda unix_ns: 0.0
         reach_s = self._delay_s + 4.0 * self._sigma_s + WAIT_S + 5.0
         self._sets: History[FeatureSet] = History(reach_s, MAX_SETS)
         self._asked: deque[tuple[Asked, float]] = deque()
         self._answered: deque[Answered] = deque(maxlen=MAX_ANSWERED)
         self._followed: _Followed | None = None
+        self._placed_s = -math.inf  # when a set came that gives a pose
         self._ended: deque[int] = deque()  # tracks that are to be ended
 
     # --- from those who have sets and reports ---
@@ -80,6 +85,8 @@ class CameraClicks(WokenWork):
         """A picture's set, the first or a later one."""
         with self._changed:
             self._sets.add(output, output, runs=True)
+            if output.is_ok:
+                self._placed_s = self._monotonic_s()
             if self._asked:
                 self._changed.notify()
 
@@ -120,13 +127,15 @@ class CameraClicks(WokenWork):
                 self._changed.notify()
 
     def followed(self) -> TrackReport | None:
-        """The newest report of the thing that is followed, its ellipse as wide as the click's moment makes it; None
-        without one, and once it is lost.
+        """The newest report of the thing that is followed, as of now: no message of the standard's states when it was
+        there. Its ellipse is as wide as the click's moment makes it. None without one.
         """
         followed = self._still_followed()
         if followed is None or followed.report is None:
             return None
-        return _widened(followed.report, followed.by_delay_m2)
+        silent_s = self._monotonic_s() - followed.since_s
+        age_s = max(silent_s, self.stamped_ago_s(followed.report.capture_unix_ns))
+        return _widened(as_of(followed.report, age_s, silent_s, Unseen.NO_REPORT), followed.by_delay_m2)
 
     @property
     def is_following(self) -> bool:
@@ -205,18 +214,23 @@ class CameraClicks(WokenWork):
         content = json.loads(payload)
         if is_refusal:
             return False, str(content["reason"])
+        track = content.get("track")
+        if not isinstance(track, int):  # who answers may be another program at the end of a link
+            return False, "the answer has no track"
         with self._changed:
-            self._followed = _Followed(int(content["track"]), found.by_delay_m2, self._monotonic_s())
+            self._followed = _Followed(track, found.by_delay_m2, self._monotonic_s())
         return True, ""
 
     def _view(self, question: ViewQuestion) -> View:
+        """Where the camera looks, by the newest picture that has a pose; nothing by one that is too old for that."""
         with self._changed:
-            newest = self._sets.newest_answer()
-        if newest is None:
+            newest, silent_s = self._sets.newest_answer(), self._monotonic_s() - self._placed_s
+        age_s = silent_s if newest is None else max(silent_s, self.stamped_ago_s(newest.capture_unix_ns))
+        if newest is None or age_s > SILENT_S:
             return View(question.number, None, None)
         camera = newest.item.camera
         middle = 0.5 * (camera.width_px - 1), 0.5 * (camera.height_px - 1)
-        return View(question.number, newest.item, Locator(newest.item).locate(middle))
+        return View(question.number, newest.item, Locator(newest.item).locate(middle), age_s)
 
 
 def _widened(report: TrackReport, by_delay_m2: NDArray[np.float64]) -> TrackReport:

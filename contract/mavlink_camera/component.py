@@ -89,6 +89,7 @@ class MavlinkCamera:
         self._number = 0
         self._clicked: tuple[_Command, int] | None = None  # the last, and its result
         self._fix: Fix | None = None  # of the last click
+        self._is_fix_followed = False
         self._was_followed = self._is_view_asked = False
         self._intervals: dict[int, tuple[int, int]] = {}  # of a message: how long, and when it is due next
         self._next_beat_ns = 0
@@ -271,15 +272,18 @@ class MavlinkCamera:
         if command is not None:
             self._acknowledge(command, ACCEPTED if is_there else BUSY)
         if view.feature_set is not None and view.middle is not None:
-            self._put(self._facts.fov_status(view.feature_set, view.middle, now_ns))
+            taken_ns = now_ns - round(view.age_s * NS_PER_S)
+            self._put(self._facts.fov_status(view.feature_set, view.middle, taken_ns))
 
     def _take_click(self, clicked: Clicked, command: _Command, now_ns: int) -> None:
         answer = clicked.answer
         if isinstance(answer, Refusal):
             result = FAILED if answer.status in PERMANENT else BUSY
             self._show(WARNING, words_of(answer), now_ns)
+            if not self._is_fix_followed:  # what was clicked last has no place
+                self._fix = None
         else:
-            result, self._fix = ACCEPTED, answer
+            result, self._fix, self._is_fix_followed = ACCEPTED, answer, clicked.is_followed
             self._put(self._facts.geo_of_fix(answer, is_followed=clicked.is_followed))
             not_followed = f"; not followed: {clicked.unfollowed}" if clicked.unfollowed else ""
             self._show(INFO, words_of(answer) + not_followed, now_ns)
@@ -287,11 +291,15 @@ class MavlinkCamera:
         self._acknowledge(command, result)
 
     def _geo_status(self) -> Any | None:
-        """The place of what is followed, else of what was clicked last; None without one."""
+        """The place of what is followed, else of what was clicked last; None without one, and of what was followed and
+        is not any more: it has left where it was clicked.
+        """
         report = self._end.followed()
         if report is not None:
             return self._facts.geo_of_track(report)
-        return None if self._fix is None else self._facts.geo_of_fix(self._fix, is_followed=self._end.is_following)
+        if self._fix is None or (self._is_fix_followed and not self._end.is_following):
+            return None
+        return self._facts.geo_of_fix(self._fix, is_followed=self._is_fix_followed)
 
     def _stream(self, now_ns: int) -> None:
         """Send what was asked for in intervals and is due: what is followed, once that it is no longer, the view."""

@@ -40,11 +40,12 @@ class Clicked:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """The newest set, None without one that has a pose, and the answer in the picture's middle."""
+    """The newest set, None without one that has a pose, the answer in the picture's middle, and the picture's age."""
 
     number: int
     feature_set: FeatureSet | None
     middle: Answer | None
+    age_s: float = 0.0
 
 
 Asked = VideoClick | ViewQuestion
@@ -68,8 +69,8 @@ class CameraEnd(Protocol):
         """Return whether what was clicked last is followed."""
 
     def followed(self) -> TrackReport | None:
-        """The newest report of the thing that is followed, its ellipse as wide as the click's moment makes it; None
-        without one.
+        """The newest report of the thing that is followed, as of now, its ellipse as wide as the click's moment makes
+        it; None without one.
         """
 
 

@@ -119,9 +119,9 @@ class CameraFacts:
         hfov_deg = fields_of_view_deg(self.camera)[0]
         return 0 if math.isnan(hfov_deg) else round(hfov_deg)
 
-    def fov_status(self, found: FeatureSet, middle: Answer, now_ns: int) -> Any:
-        """CAMERA_FOV_STATUS of a picture by its set. The quaternion turns MAVLink's camera axes (x along the optical
-        axis, y to the right, z down in the picture) to north, east, down.
+    def fov_status(self, found: FeatureSet, middle: Answer, taken_ns: int) -> Any:
+        """CAMERA_FOV_STATUS of a picture by its set, stamped with when it was taken. The quaternion turns MAVLink's
+        camera axes (x along the optical axis, y to the right, z down in the picture) to north, east, down.
         """
         height_m: float | None = found.camera_height_m
         if found.height_datum is HeightDatum.ELLIPSOID:
@@ -133,7 +133,7 @@ class CameraFacts:
             lat = lon = alt = AT_INFINITY
         q = quaternion_from_matrix(R_ENU_NED.T @ found.R_enu_cam @ R_GIMBAL_CAM.T)
         return self.dialect.MAVLink_camera_fov_status_message(
-            self.time_ms(now_ns), _degrees(found.camera_lat_deg), _degrees(found.camera_lon_deg),
+            self.time_ms(taken_ns), _degrees(found.camera_lat_deg), _degrees(found.camera_lon_deg),
             _millimetres(height_m), lat, lon, alt, [float(c) for c in q], *fields_of_view_deg(found.camera),
         )  # fmt: skip
 
@@ -196,7 +196,7 @@ def words_of(answer: Answer) -> str:
         return f"click: {answer.reason}"
     ellipse, height_m = answer.ellipse, answer.height_amsl_m
     height = "" if height_m is None else f", {height_m:.0f} m AMSL"
-    return f"{ellipse.rounded(answer.lat_deg, answer.lon_deg)} +-{ellipse.semi_major_m:.0f} m{height}"
+    return f"{ellipse.rounded(answer.lat_deg, answer.lon_deg)} +-{math.ceil(ellipse.semi_major_m)} m{height}"
 
 
 def _degrees(degrees: float) -> int:

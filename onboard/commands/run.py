@@ -210,6 +210,7 @@ def _camera_component(
     if not stated.enabled:
         return None, None
     clicks = CameraClicks(config.vehicle.id, stated.delay_s, stated.sigma_delay_s)
+    clicks.stamped_ago_s = lambda unix_ns: max((clock.now_ns() - unix_ns) / 1e9, 0.0)
     if tracks is not None:
         clicks.follow = tracks.answer
         tracks.outlets.append(clicks.tracks)

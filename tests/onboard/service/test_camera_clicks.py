@@ -157,6 +157,37 @@ def test_what_no_report_comes_of_is_not_followed_any_more() -> None:
     assert not flight.clicks.is_following
 
 
+def test_what_was_reported_a_while_ago_is_where_it_may_be_by_now() -> None:
+    """The standard's message has no time: a report of before, sent as it was, was 4 m off in a second, 3 m stated."""
+    flight = Flight()
+    flight.fly(20)
+    flight.click()
+    flight.fly(25)
+    fresh = flight.clicks.followed()
+    assert fresh is not None and fresh.place is not None
+    flight.number += 15  # no report comes
+    report = flight.clicks.followed()
+    assert report is not None and report.place is not None and report.state is TrackState.COASTING
+    off_m = np.array(PLACE.to_enu(report.place.lat_deg, report.place.lon_deg, 100.0)[:2]) - CAR.place(flight.now_s())
+    assert np.linalg.norm(off_m) < report.place.ellipse.semi_major_m < 12.0
+    assert report.place.ellipse.semi_major_m > fresh.place.ellipse.semi_major_m + 1.0
+    flight.clicks.stamped_ago_s = lambda unix_ns: 4.0  # on its way as well
+    report = flight.clicks.followed()
+    assert report is not None and report.place is not None and report.place.ellipse.semi_major_m > 15.0
+    flight.number += 10
+    report = flight.clicks.followed()
+    assert report is not None and report.place is None and FACTS.geo_of_track(report) is None
+
+
+def test_who_answers_without_a_track_follows_nothing() -> None:
+    flight = Flight()
+    flight.clicks.follow = lambda parameters: (b"{}", False)
+    flight.fly(20)
+    flight.click()
+    flight.fly(1)
+    assert not flight.answer().is_followed and not flight.clicks.is_following
+
+
 def test_the_view_is_the_newest_picture_that_has_a_pose() -> None:
     flight = Flight()
     flight.clicks.ask(ViewQuestion(1))
@@ -168,4 +199,9 @@ def test_the_view_is_the_newest_picture_that_has_a_pose() -> None:
     flight.clicks.work()
     (view,) = flight.clicks.answers()
     assert isinstance(view, View) and view.feature_set is not None and view.feature_set.frame == 2
-    assert isinstance(view.middle, Fix)
+    assert isinstance(view.middle, Fix) and 0.0 <= view.age_s < 0.2
+    flight.number += 31  # no picture comes any more: where it looks now is not known
+    flight.clicks.ask(ViewQuestion(3))
+    flight.clicks.work()
+    (view,) = flight.clicks.answers()
+    assert isinstance(view, View) and view.feature_set is None

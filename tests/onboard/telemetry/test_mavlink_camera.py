@@ -25,7 +25,7 @@ from contract.locate import locate
 from contract.mavlink_camera.clicks import CameraClicks
 from contract.mavlink_camera.component import MAX_OUT, MavlinkCamera
 from contract.mavlink_camera.end import Answered, Asked, Clicked, VideoClick, View
-from contract.mavlink_camera.messages import CameraFacts, Stream
+from contract.mavlink_camera.messages import CameraFacts, Stream, words_of
 from contract.rotations import matrix_from_quaternion
 from contract.track import Course, TrackReport, TrackState, Unseen
 from onboard.config.schema import parse_config
@@ -131,7 +131,7 @@ def test_a_click_gets_the_place_of_what_was_shown_with_the_delay_in_its_accuracy
     assert np.linalg.norm(error_m) < geo.h_acc and 0.95 < geo.h_acc / stated_m < 1.1
     assert abs(up_m) < 0.1 < geo.v_acc < 3.0 and 60.0 < geo.dist < 80.0
     assert all(math.isnan(unknown) for unknown in (geo.vel_n, geo.vel_e, geo.vel_d, geo.hdg, geo.hdg_acc))
-    assert f"+-{geo.h_acc:.0f} m" in client.texts()
+    assert f"+-{math.ceil(geo.h_acc)} m" in client.texts()
 
 
 def test_a_click_that_has_no_answer_is_refused_in_words() -> None:
@@ -160,7 +160,7 @@ class End:
         if len(self.asked) > 100:
             return False
         if isinstance(asked, VideoClick) and self.answer is not None:
-            self._ready.append(Clicked(asked.number, self.answer))
+            self._ready.append(Clicked(asked.number, self.answer, self.is_following))
         elif not isinstance(asked, VideoClick):
             self._ready.append(View(asked.number, SETS[0], locate(SETS[0], (159.5, 119.5))))
         return True
@@ -200,6 +200,7 @@ class Virtual:
         return [m.result for m in self.due() if m.get_type() == "COMMAND_ACK"]
 
 
+GEO = "CAMERA_TRACKING_GEO_STATUS"
 FIX = locate(SETS[10], (160.0, 120.0))
 
 
@@ -213,6 +214,34 @@ def test_the_result_states_whether_a_later_click_may_succeed(status: Status, res
     assert virtual.results() == [result]
     virtual.now_s = 1.0
     assert virtual.results() == [] and len(virtual.end.asked) == 1
+
+
+@pytest.mark.parametrize("is_followed", [False, True])
+def test_a_place_is_stated_only_as_long_as_what_was_clicked_is_there(is_followed: bool) -> None:
+    """What was followed has left where it was clicked; a refused click has no place, least of all the last one's."""
+    virtual = Virtual(FIX)
+    virtual.end.is_following = is_followed
+    virtual.click(0.5, 0.5)
+    assert [m.tracking_status for m in virtual.due() if m.get_type() == GEO] == [int(is_followed)]
+    virtual.send(mavlink.MAVLink_command_long_message(1, 100, 512, 0, 276, 0, 0, 0, 0, 0, 0))
+    assert [m.tracking_status for m in virtual.due() if m.get_type() == GEO] == [int(is_followed)]
+    if is_followed:
+        virtual.end.is_following = False  # it is lost
+    else:
+        virtual.end.answer = Refusal(Status.TURNING)
+        virtual.click(0.4, 0.5)
+        virtual.due()
+    virtual.send(mavlink.MAVLink_command_long_message(1, 100, 512, 0, 276, 0, 0, 0, 0, 0, 0))
+    sent = virtual.due()
+    assert [m.result for m in sent if m.get_type() == "COMMAND_ACK"] == [BUSY] and GEO not in {
+        m.get_type() for m in sent
+    }
+
+
+def test_a_text_states_no_radius_below_the_ellipse() -> None:
+    assert isinstance(FIX, Fix)
+    small = replace(FIX, ellipse=Ellipse(0.4, 0.3, 0.0))
+    assert "+-1 m" in words_of(small)
 
 
 def test_a_click_that_is_sent_again_is_one_click() -> None:
