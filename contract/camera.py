@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from contract.errors import InputError
-from contract.lens import FISHEYE, MAX_ANGLE, MODELS, PINHOLE, Lens
+from contract.lens import FISHEYE, MAX_ANGLE, MODELS, PINHOLE, SMALL_RADIUS, Lens
 from contract.stated_values import check_keys, number, numbers, object_of, whole
 from contract.zoom_table import ZoomTable
 
@@ -49,6 +49,7 @@ MAX_ASPECT = 2.0
 MAX_UNDECLARED_ASPECT = 1.12
 SAME_ASPECT = 0.05
 MAX_SIZE_PX = 100_000
+MAX_SPREAD = 1.3  # of half of the picture's radii, against a lens's without distortion: a pincushion's are 1.1
 MAX_COEFFICIENT = 1e6  # of a long lens, whose picture ends at a hundredth of its focal length
 WITHIN_PX = 1e-3  # that a ray's pixel comes back to, (2.4)
 
@@ -133,22 +134,24 @@ class Camera:
         )
 
     def check_use(self, what: str) -> None:
-        """Raise InputError where half of the picture or more has no ray: no lens is such, its distortion is wrong.
-
-        What a fisheye shows beyond the angle at which its rays end does not count.
+        """Raise InputError where half of the picture or more has no ray, or is spread far wider than by any lens: none
+        is such, its distortion is wrong. What a fisheye shows beyond the angle at which its rays end does not count.
         """
         grid = np.stack(np.meshgrid(*(np.linspace(0.0, n - 1.0, 9) for n in self.size_px)), axis=-1)
-        counted = self.unproject(grid)[1]
+        rays, counted = self.unproject(grid)
+        before, after = (np.linalg.norm(xy, axis=-1) for xy in (rays[..., :2], self.distort(rays[..., :2])))
+        spread = (after / np.maximum(before, SMALL_RADIUS))[counted]
         if self.model == FISHEYE:
             off_axis = np.hypot(*np.moveaxis((grid - (self.cx_px, self.cy_px)) / (self.fx_px, self.fy_px), -1, 0))
             counted = counted[off_axis <= MAX_ANGLE]
         share = float(np.mean(counted)) if counted.size else 0.0
+        doubt = f"are the coefficients {_WHOSE[self.model]} {', '.join(MODELS[self.model].names)}, and for this size?"
         if share < 0.5:
-            names = ", ".join(MODELS[self.model].names)
-            raise InputError(
-                f"{what}: by its distortion only {100.0 * share:.0f} % of the picture can be used; are the "
-                f"coefficients {_WHOSE[self.model]} {names}, and for this size?"
-            )
+            used = f"only {100.0 * share:.0f} % of the picture can be used"
+            raise InputError(f"{what}: by its distortion {used}; {doubt}")
+        if np.median(spread) > MAX_SPREAD:
+            wide = f"half of the picture is spread more than {np.median(spread):.3g} times as wide as without"
+            raise InputError(f"{what}: by its distortion {wide}; {doubt}")
 
     def to_json(self) -> str:
         """The camera file's text; `from_json` reads it back exactly."""

@@ -15,14 +15,24 @@ from contract.near_word import near_word
 
 
 def object_of(text: str | bytes, what: str) -> dict[str, Any]:
-    """The JSON object in a text. Raises InputError, which begins with `what`."""
+    """The JSON object in a text, each of its keys once. Raises InputError, which begins with `what`."""
     try:
-        content = json.loads(text)
+        content = json.loads(text, object_pairs_hook=each_once)
     except (ValueError, RecursionError) as error:
         raise InputError(f"{what}: not JSON ({error})") from error
     if not isinstance(content, dict):
         raise InputError(f"{what}: not a JSON object, which begins with {{")
     return content
+
+
+def each_once(pairs: Iterable[tuple[Any, Any]]) -> dict[Any, Any]:
+    """Return a mapping of pairs. Raises ValueError for a key that comes twice: which of its values is meant?"""
+    out: dict[Any, Any] = {}
+    for key, value in pairs:
+        if key in out:
+            raise ValueError(f"{str(key)[:40]!r} is there twice")
+        out[key] = value
+    return out
 
 
 def check_keys(content: Iterable[str], known: Sequence[str], what: str, needed: Iterable[str] = ()) -> None:

@@ -11,6 +11,7 @@ from typing import Any
 
 from contract.errors import InputError
 from contract.lens import FISHEYE, PINHOLE
+from contract.stated_values import each_once
 from onboard.camera_files.stated_lens import (
     MAX_PX,
     Further,
@@ -57,7 +58,10 @@ def _cameras(text: str) -> dict[str, tuple[str, list[str]]]:
         return {}
     if None in found:
         raise InputError(f"line {lines[found.index(None)][:40]!r} is not CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]")
-    return {one[1]: (one[2], one[3].split()) for one in found if one is not None}
+    try:
+        return each_once((one[1], (one[2], one[3].split())) for one in found if one is not None)
+    except ValueError as error:
+        raise InputError(f"camera {error}") from error
 
 
 def read_colmap(content: Any, which: str | None, size_px: Size | None) -> StatedLens:

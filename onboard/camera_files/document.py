@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from contract.errors import InputError
+from contract.stated_values import each_once
 from contract.xml_root import xml_root
 
 MAX_BYTES = 64_000_000  # a project's cameras with all of their pictures; a calibration alone is a few kB
@@ -43,9 +44,11 @@ def _may_be_yaml(text: str) -> bool:
 
 
 def _text_of(path: Path) -> str:
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise InputError("a pipe or a device, and no file")  # the first may keep who opens it waiting for ever
     try:
         with path.open("rb") as file:
-            data = file.read(MAX_BYTES + 1)  # a device states no size
+            data = file.read(MAX_BYTES + 1)
         if len(data) > MAX_BYTES:
             raise InputError(f"at most {MAX_BYTES} bytes are read of a camera file, and it has more")
         return data.decode("utf-8-sig").lstrip()
@@ -57,7 +60,7 @@ def _text_of(path: Path) -> str:
 
 def _json(text: str) -> Content:
     try:
-        found: Content = json.loads(text)
+        found: Content = json.loads(text, object_pairs_hook=each_once)
         return found
     except (ValueError, RecursionError) as error:
         raise InputError(f"not JSON ({error})") from error
@@ -78,6 +81,14 @@ def _yaml(text: str) -> Any:
                 mark = self.peek_event().start_mark
                 raise yaml.composer.ComposerError(None, None, "an alias, which no calibration needs", mark)
             return super().compose_node(parent, index)
+
+        def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
+            try:
+                each_once((self.construct_object(key, deep=True), None) for key, _ in getattr(node, "value", ()))
+            except ValueError as error:
+                raise yaml.constructor.ConstructorError(None, None, str(error), node.start_mark) from error
+            found: dict[Any, Any] = super().construct_mapping(node, deep=deep)
+            return found
 
     Loader.add_constructor(
         "tag:yaml.org,2002:opencv-matrix", lambda loader, node: loader.construct_mapping(node, deep=True)

@@ -14,6 +14,7 @@ from typing import Any
 
 from contract.errors import InputError
 from contract.lens import FISHEYE, PINHOLE
+from contract.stated_values import each_once
 from onboard.camera_files.stated_lens import (
     Further,
     Size,
@@ -140,8 +141,11 @@ def _flat(value: object, what: str) -> list[Any]:
 
 
 def _of_xml(root: ET.Element) -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    for node in root:
+    def value(node: ET.Element) -> str | list[str]:
         data = node.find("data")
-        found[node.tag] = (node.text or "").strip() if data is None else (data.text or "").split()
-    return found
+        return (node.text or "").strip() if data is None else (data.text or "").split()
+
+    try:
+        return each_once((node.tag, value(node)) for node in root)
+    except ValueError as error:
+        raise InputError(str(error)) from error

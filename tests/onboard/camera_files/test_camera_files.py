@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import random
 from pathlib import Path
 
@@ -23,6 +24,7 @@ from tests.onboard.camera_files.writers import (
     CX,
     FILES,
     FISHEYES,
+    FK1,
     K1,
     K3,
     KALIBR,
@@ -133,6 +135,12 @@ REFUSED = {
     "kalibr two": (KALIBR + KALIBR.replace("cam0", "cam1"), "holds 2 cameras, 'cam0', 'cam1': choose"),
     "colmap fisheye": (f"1 FOV {W} {H} 3100 3100 2000 1500 0.9\n", "fisheye's model that is not read"),
     "colmap fisheye count": (COLMAP_FISHEYE.replace(" 0.0011", ""), "OPENCV_FISHEYE has 9 values and not 10"),
+    "colmap twice": (COLMAP_FISHEYE + COLMAP_FISHEYE.replace("4000", "4001"), "camera '1' is there twice"),
+    "yaml twice": (ROS + "camera_name: a\ncamera_name: b\n", r"not YAML \('camera_name' is there twice"),
+    "json twice": (ODM.replace("{", '{"a": 1, "a": 2, ', 1), r"not JSON \('a' is there twice"),
+    "xml twice": ("<opencv_storage><K>1</K><K>2</K></opencv_storage>", "'K' is there twice"),
+    "fisheye absurd": (COLMAP_FISHEYE.replace(str(FK1), "9.0"), "half of the picture is spread more than .* times"),
+    "pinhole absurd": (ROS.replace(f"[{K1}, ", "[30.0, "), "half of the picture is spread more than .* times"),
     "colmap unknown": (COLMAP.replace("FULL_OPENCV", "FULL_CV"), "model 'FULL_CV' is not read"),
     "colmap count": (COLMAP.replace(" 0 0 0\n", "\n"), "FULL_OPENCV has 11 values and not 14"),
     "metashape fisheye": (METASHAPE.replace(">frame<", ">fisheye<"), "fisheye's model"),
@@ -168,6 +176,12 @@ def test_a_refusal_names_file_and_reason_in_one_line(
     assert main(["camera", str(path), "--out", str(tmp_path / "out.json")]) == 2
     err = capsys.readouterr().err
     assert err.count("\n") == 1 and f"camera file {path}" in err and not (tmp_path / "out.json").exists()
+
+
+def test_a_pipe_is_refused_and_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "camera.json")
+    with pytest.raises(InputError, match="a pipe or a device, and no file"):
+        load_camera_file(tmp_path / "camera.json")
 
 
 @EACH
