@@ -20,6 +20,7 @@ from tests.flights_folder import FLIGHTS_VARIABLE
 from tests.left_out import LEFT_OUT, NO_PROGRAM
 from tests.limits import limit
 from tests.long_tests import register
+from tests.rewriting import rewrite_once
 
 # Before anything imports NumPy or OpenCV: several tests run side by side, and one thread each gives the same bytes
 # everywhere.
@@ -100,6 +101,8 @@ def pytest_configure(config: pytest.Config) -> None:
             os.environ[FLIGHTS_VARIABLE] = folder.name
             config.add_cleanup(folder.cleanup)
         os.environ[FOLDER_VARIABLE] = str(Path(os.environ[FLIGHTS_VARIABLE]) / "drawings")
+        if config.getoption("numprocesses", 0):
+            rewrite_once(config, [file for file in files_of_tests(config) if not pytest_ignore_collect(file, config)])
 
 
 @pytest.hookimpl(wrapper=True)  # around pytest-xdist, which looks at the groups
@@ -146,6 +149,12 @@ def group_of(item: pytest.Item) -> str:
     marker = item.get_closest_marker("xdist_group")
     assert marker is not None
     return str(marker.args[0])
+
+
+def files_of_tests(config: pytest.Config) -> list[Path]:
+    """Return the files of tests below what the command line names."""
+    named = [Path(argument.partition("::")[0]) for argument in config.args]
+    return [file for path in named for file in ([path] if path.is_file() else sorted(path.rglob("test_*.py")))]
 
 
 MARKERS = ("long", "wall_clock")
