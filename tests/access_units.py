@@ -4,8 +4,6 @@ On standard input one line of JSON: `frames` (a file of raw grey pictures), `out
 `bit_rate`, `codec` (H264, H265). Each picture is a four-byte length, little-endian, and what the encoder made of it.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

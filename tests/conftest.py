@@ -1,7 +1,5 @@
 """What every test may ask for: one thread each, the shared recordings, and a loud word about tests left out."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal

@@ -1,7 +1,5 @@
 """Where the workers of one run keep the flights that they share."""
 
-from __future__ import annotations
-
 import fcntl
 import os
 import shutil

@@ -1,7 +1,5 @@
 """Environments of an installation's own, without unpacking again what pip has unpacked here."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import sys

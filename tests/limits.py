@@ -3,8 +3,6 @@
 Several times what the slowest of a kind takes on two busy cores: a limit ends what hangs and judges no speed.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """The lock, for tests: versions by name, and lines that pip checks."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterable
 from importlib import import_module

@@ -1,7 +1,5 @@
 """The long tests of a run: those that a submission chooses (`tests/submission.py`), and word of those left out."""
 
-from __future__ import annotations
-
 import os
 import time
 from collections import Counter

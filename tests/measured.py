@@ -1,7 +1,5 @@
 """What tests measured (`record_property`), shown at a run's end next to what was held."""
 
-from __future__ import annotations
-
 import pytest
 
 

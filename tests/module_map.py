@@ -1,7 +1,5 @@
 """The page of all modules out of their docstrings: `python -m tests.module_map FILE` writes it for `make docs`."""
 
-from __future__ import annotations
-
 import ast
 import re
 import sys

@@ -1,7 +1,5 @@
 """An on-screen display as flight controllers and gimbals burn it into their pictures: text, a cross-hair, numbers."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray

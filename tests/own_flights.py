@@ -1,7 +1,5 @@
 """A simulated flight as its pilot has it: a video with the subtitles of a drone, or pictures named by UTC and a log."""
 
-from __future__ import annotations
-
 import csv
 import shutil
 import struct

@@ -7,8 +7,6 @@ two spaces what goes to standard output, behind `! ` what goes to standard error
 another each time. A page of `PAGES` holds what a command prints of cases that no one can type.
 """
 
-from __future__ import annotations
-
 import contextlib
 import importlib
 import io

@@ -3,8 +3,6 @@
 `python -m tests.postgres` succeeds where there is one; `make test` installs PACKAGES where it may.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import pwd

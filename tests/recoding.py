@@ -9,8 +9,6 @@ Writes the decoded pictures one after the other and prints JSON: `numbers` of th
 processor time.
 """
 
-from __future__ import annotations
-
 import json
 import random
 import resource

@@ -1,7 +1,5 @@
 """The recorded flights' logs: of minutes, and read once by the worker that has the group "recorded logs"."""
 
-from __future__ import annotations
-
 from functools import cache
 from pathlib import Path
 

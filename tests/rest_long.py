@@ -1,7 +1,5 @@
 """Parameters of which the first stand for all: the rest are of `make test-long`."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any
 

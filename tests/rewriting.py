@@ -1,7 +1,5 @@
 """The asserts of all test files rewritten once, before the workers begin: each would rewrite every file by itself."""
 
-from __future__ import annotations
-
 import multiprocessing
 import sys
 from collections.abc import Sequence

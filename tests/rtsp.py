@@ -1,7 +1,5 @@
 """Pictures played by GStreamer's RTSP server, with the true capture time of each."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

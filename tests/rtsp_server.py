@@ -9,8 +9,6 @@ Prints the port, then a line `NUMBER CAPTURE_NS` (CLOCK_MONOTONIC) for every pic
 standard input is closed.
 """
 
-from __future__ import annotations
-
 import json
 import random
 import sys

@@ -1,7 +1,5 @@
 """MISB ST 0604 capture times as a sender writes them into H.264 and H.265. The standard library alone."""
 
-from __future__ import annotations
-
 MISB_H264 = b"MISPmicrosectime"
 MISB_H265 = bytes.fromhex("a8687dd4d7593758a5cef0338b6545f1")
 

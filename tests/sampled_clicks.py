@@ -1,7 +1,5 @@
 """Clicks on the sets of a simulated flight, next to the truth."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A pipeline's sink that takes sets alone."""
 
-from __future__ import annotations
-
 from typing import Self
 
 from contract.feature_set import FeatureSet

@@ -1,7 +1,5 @@
 """A simulated flight in real time: its pictures from an RTSP server, its autopilot's messages over UDP."""
 
-from __future__ import annotations
-
 import csv
 import socket
 import struct

@@ -9,8 +9,6 @@ history (a shallow clone), everything runs.
     python -m tests.submission bench    exit with 0 if the bench is chosen, else with 1; so too `arm64`
 """
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Iterable

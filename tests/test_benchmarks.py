@@ -1,7 +1,5 @@
 """Every benchmark runs and reports, on inputs too small to mean anything. No time is asserted."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess

@@ -5,8 +5,6 @@ Whole flights with every error sampled from the configured priors; `benchmarks.c
 one sample of all slow errors, so that the share of single clicks has a sigma of 7 % over sixteen flights.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A damaged recording, as the readers on the ground and on board have it: what is lost, and what is reported."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace

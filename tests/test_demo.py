@@ -1,7 +1,5 @@
 """The demo on a busy machine: it waits for what happens, however long that takes, and no longer for what cannot."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from types import SimpleNamespace

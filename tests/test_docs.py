@@ -1,7 +1,5 @@
 """The pages: files, pages and sections that they name exist, and none but a reference is long."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

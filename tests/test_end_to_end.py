@@ -1,7 +1,5 @@
 """The whole way as its users go it: a flight through `pc-onboard`, clicked with `pc-ground`, both as processes."""
 
-from __future__ import annotations
-
 import csv
 import json
 import os

@@ -1,7 +1,5 @@
 """Code and docs/mathematics.md cite each other: no number in the code that is not derived, none derived in vain."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

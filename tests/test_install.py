@@ -1,7 +1,5 @@
 """What is installed: the lock, the wheel, and each extra alone, in an environment with nothing else next to it."""
 
-from __future__ import annotations
-
 import ast
 import json
 import os

@@ -1,7 +1,5 @@
 """Boresight and time offset are estimated in flight: 3 degrees of mount and 0.3 s of clock, at default priors."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The tables of docs/licences.md are what the installed packages state; none is under the GPL."""
 
-from __future__ import annotations
-
 import re
 from importlib.metadata import distribution
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A test that hangs ends with its name and its stacks; properties have many examples in a long run."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The lock names each file that pip may install by its hash, and a release lists its parts."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import subprocess

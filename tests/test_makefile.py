@@ -1,7 +1,5 @@
 """`make pytest` runs two sets of tests, those that measure real time alone, and fails if either fails or is missing."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

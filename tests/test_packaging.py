@@ -3,8 +3,6 @@
 The packages themselves are built, run and weighed by `make test-arm64`.
 """
 
-from __future__ import annotations
-
 import ctypes
 import os
 import platform

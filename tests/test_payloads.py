@@ -1,7 +1,5 @@
 """Each kind of message in the table of topics is handled wherever messages are: link, disk, journal, cache and page."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import fields
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Lever arm, delays and a compass that errs by its heading are modelled, so that answers hold with them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

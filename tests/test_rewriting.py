@@ -1,7 +1,5 @@
 """Files of tests are rewritten before the workers need them, and what is kept is what a worker would have made."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

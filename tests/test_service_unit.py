@@ -1,7 +1,5 @@
 """The unit as systemd reads it: nothing unknown in it, nothing open that need not be."""
 
-from __future__ import annotations
-
 import configparser
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """The soak finds what it is for: a short one through every fault, and figures that must not pass."""
 
-from __future__ import annotations
-
 import itertools
 import time
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """What a submission runs follows from what changed: a third, changed packages, and the machines that they concern."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """What the commands print is what their transcripts show; how they are written: tests/play_transcripts.py."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

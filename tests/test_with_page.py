@@ -1,7 +1,5 @@
 """The build backend: the page is built where it is missing or old, and an installation without npm still succeeds."""
 
-from __future__ import annotations
-
 import importlib
 import os
 import sys

@@ -4,8 +4,6 @@ A word counts wherever it occurs: in text, and as a part of an identifier (`hear
 down, never up: where one of these is the right word after all ("reading a file"), another occurrence has become plain.
 """
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Iterable

@@ -4,8 +4,6 @@ A test that waits for something says what, never for how long: PATIENCE_S passes
 itself is claimed, it is counted less what this thread was held up, for so was what it waits for.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 

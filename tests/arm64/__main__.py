@@ -1,7 +1,5 @@
 """`python -m tests.arm64`: fetch what the emulation needs into the cache, and build the packages to test."""
 
-from __future__ import annotations
-
 import sys
 from concurrent.futures import ThreadPoolExecutor
 

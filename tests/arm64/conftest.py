@@ -1,7 +1,5 @@
 """These tests run with `make test-arm64` only: they build Debian packages and emulate a processor."""
 
-from __future__ import annotations
-
 import os
 
 import pytest

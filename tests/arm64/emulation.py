@@ -4,8 +4,6 @@ Debian's packages come through an apt configuration of our own, so that nothing 
 are unpacked with `dpkg -x` and kept in the cache of the test bench (`tests/bench/image/cache.py`).
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -6,8 +6,6 @@ Keys are `FRAME.FIELD`, of each picture's last revision that was answered; `FRAM
 get: latitude and longitude (deg), height (m) and the greater half axis of the ellipse (m).
 """
 
-from __future__ import annotations
-
 import os
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A Debian package of ours, unpacked, and its programs: of this machine's architecture, or emulated."""
 
-from __future__ import annotations
-
 import os
 import shlex
 import shutil

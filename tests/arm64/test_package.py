@@ -1,7 +1,5 @@
 """The Debian packages of both architectures, built here, unpacked and run: amd64 natively, arm64 under emulation."""
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess

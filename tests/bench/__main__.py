@@ -1,7 +1,5 @@
 """`python -m tests.bench`: build the images, or run something of a checkout's in a guest with cameras."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from pathlib import Path

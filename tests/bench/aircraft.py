@@ -1,7 +1,5 @@
 """The aircraft's computer: the guest with our package, its configuration and its unit installed as on a real one."""
 
-from __future__ import annotations
-
 import atexit
 import functools
 import shutil

@@ -1,7 +1,5 @@
 """The guest's cameras: vivid at /dev/video0, v4l2loopback at /dev/video10; vimc, for libcamera, where it is loaded."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.bench.machine import Machine

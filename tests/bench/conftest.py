@@ -1,7 +1,5 @@
 """The bench's tests run with `make test-bench` only; those in `inside/` run in the guest, by `test_inside.py`."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Generator
 

@@ -1,7 +1,5 @@
 """A flight for the bench: telemetry of tests/data, pictures rendered along it, both played in time with each other."""
 
-from __future__ import annotations
-
 import csv
 import json
 from dataclasses import dataclass

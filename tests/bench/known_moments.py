@@ -9,8 +9,6 @@ asked for. Switches at many phases of the pictures' period leave less and less r
 prints the two bounds as JSON, in ms, with what the camera said of its stamps.
 """
 
-from __future__ import annotations
-
 import argparse
 import fcntl
 import json

@@ -1,7 +1,5 @@
 """One guest: boots User Mode Linux, runs jobs in it over a serial line, and always ends it."""
 
-from __future__ import annotations
-
 import base64
 import contextlib
 import itertools

@@ -1,7 +1,5 @@
 """The radio: a veth pair between the host and the guest's vec0, whose kernel can lose and delay packets on it."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass

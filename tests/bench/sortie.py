@@ -1,7 +1,5 @@
 """An aircraft that flies: guest, radio, autopilot on its serial line, and our service, installed and running."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import time

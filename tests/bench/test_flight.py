@@ -1,7 +1,5 @@
 """A flight: a camera that is a device, a serial line, a unit under systemd, a bad radio, and clicks."""
 
-from __future__ import annotations
-
 import concurrent.futures
 import csv
 import json

@@ -1,7 +1,5 @@
 """The tests of `inside/` run in a guest: their claims need a camera that is a device."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Our service with `camera.device = "libcamera:"`: GStreamer and libcamera inside its cage, on the kernel's vimc."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

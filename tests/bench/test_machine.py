@@ -1,7 +1,5 @@
 """The bench itself: what the other tests lean on is there, and a guest leaves nothing behind."""
 
-from __future__ import annotations
-
 import json
 import re
 import time

@@ -1,7 +1,5 @@
 """The Debian package in a Debian of its own: installed, upgraded, removed, purged."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Our service under a real systemd, on a camera of the kernel's: faults of both, and the cage it lives in."""
 
-from __future__ import annotations
-
 import re
 import time
 from collections.abc import Callable, Iterator

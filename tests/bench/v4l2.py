@@ -4,8 +4,6 @@ Buffers are mapped and queued (VIDIOC_QBUF) rather than written: only so does th
 a camera's driver would set it.
 """
 
-from __future__ import annotations
-
 import ctypes
 import fcntl
 import mmap

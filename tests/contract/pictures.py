@@ -1,7 +1,5 @@
 """Pictures for the tests of everything that carries them."""
 
-from __future__ import annotations
-
 import random
 import struct
 

@@ -1,7 +1,5 @@
 """Feature sets for the codec's tests: hypothesis strategies and one plain builder."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

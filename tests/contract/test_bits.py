@@ -1,7 +1,5 @@
 """Bits against the slow and obvious way to write them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

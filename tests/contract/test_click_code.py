@@ -1,7 +1,5 @@
 """Clicks and their answers in a packet each: short, read back, and never anything but a WireError."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """A covariance's codes are those of its Cholesky factor, and have their limits where there is none."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

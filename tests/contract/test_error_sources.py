@@ -1,7 +1,5 @@
 """What would make a radius smaller, in a line for an operator."""
 
-from __future__ import annotations
-
 import pytest
 
 from contract.error_sources import ABOUT, Cause, in_a_line

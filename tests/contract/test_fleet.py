@@ -1,7 +1,5 @@
 """The list of who takes part at a router: written, read back, refused where it contradicts itself."""
 
-from __future__ import annotations
-
 import string
 from pathlib import Path
 

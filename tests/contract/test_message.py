@@ -1,7 +1,5 @@
 """A message is accepted by its key: content that names another vehicle is refused, whatever the topic."""
 
-from __future__ import annotations
-
 import pytest
 
 from contract.errors import ForeignMessage, WireError

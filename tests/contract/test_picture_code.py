@@ -1,7 +1,5 @@
 """Pictures in pieces: every bit comes back, one lost piece of each group too, and nothing is accepted unchecked."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import itertools

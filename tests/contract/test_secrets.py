@@ -1,7 +1,5 @@
 """Texts that are shown, logged, sent or recorded: each has no secret of an address, and everything else as it was."""
 
-from __future__ import annotations
-
 import logging
 
 import pytest

@@ -1,7 +1,5 @@
 """Sets in pieces: put together again from any of them that suffice, and never from what does not belong together."""
 
-from __future__ import annotations
-
 import random
 
 import pytest

@@ -1,7 +1,5 @@
 """Spots of a picture: at most 200 bytes, read back, golden, and never anything but a WireError."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import math

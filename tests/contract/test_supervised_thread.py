@@ -1,7 +1,5 @@
 """Threads that are watched: what each policy makes of a failure, and when a thread counts as late."""
 
-from __future__ import annotations
-
 import logging
 import threading
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Counts to kelvin and back."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

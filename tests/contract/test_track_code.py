@@ -1,7 +1,5 @@
 """Reports of tracks: at most 60 bytes, read back, golden, and never anything but a WireError."""
 
-from __future__ import annotations
-
 import contextlib
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """A click whose picture's time is known to some tenths of a second: its ellipse has that, and no more."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

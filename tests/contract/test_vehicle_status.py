@@ -1,7 +1,5 @@
 """The status payload: small, plain, and nothing of it is used unchecked."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import fields, replace
 

@@ -1,7 +1,5 @@
 """A camera file's zoom table: read, written, between its rows and beyond them."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

@@ -3,8 +3,6 @@
 python -m tests.debian13 COMMAND...    run a command there, in that checkout
 """
 
-from __future__ import annotations
-
 import shlex
 import sys
 

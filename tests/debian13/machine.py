@@ -3,8 +3,6 @@
 Raspberry Pi OS 13 has the same Python. The fresh system is debootstrapped once and kept in the cache of the test bench.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """The packages for Debian 13 and Raspberry Pi OS 13, installed there by apt and started; arm64 under emulation."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess

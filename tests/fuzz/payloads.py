@@ -5,8 +5,6 @@ damaged: bits, bytes, numbers, lengths, cuts, splices. Most sets get their lengt
 one of them would end there. An input passes if it is read or refused by the errors that are promised, and quickly.
 """
 
-from __future__ import annotations
-
 import random
 import struct
 import sys

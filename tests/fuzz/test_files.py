@@ -1,7 +1,5 @@
 """Files that people bring, damaged: each reader takes them or refuses them in a line, and soon."""
 
-from __future__ import annotations
-
 import json
 import math
 import time

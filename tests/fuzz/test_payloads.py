@@ -1,7 +1,5 @@
 """A part of what `make fuzz` runs a million of."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

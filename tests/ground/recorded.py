@@ -1,7 +1,5 @@
 """Sets as a recording, each with the picture that it is of."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 Behind the ground station's own router with real certificates, by which it may publish on pc/uav-2 and nowhere else.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import socket

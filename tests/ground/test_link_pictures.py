@@ -1,7 +1,5 @@
 """Pictures on the ground: put together, kept within bounds, recorded and read again; and whatever is sent instead."""
 
-from __future__ import annotations
-
 import dataclasses
 import random
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Sets of yesterday that come again today, and sets stamped ahead: over real sessions, by what people look at."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import socket

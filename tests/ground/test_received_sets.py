@@ -1,7 +1,5 @@
 """The session that runs and the age of a picture: packets of yesterday, clocks that are wrong, sets stamped ahead."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import pytest

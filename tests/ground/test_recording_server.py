@@ -1,7 +1,5 @@
 """The ground has a recording's clicks measured by `pc-onboard serve`, which it starts and ends, or states why not."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -1,7 +1,5 @@
 """The listener's renewal: whatever an attempt raises, the next one comes, and the listener says how it is."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable

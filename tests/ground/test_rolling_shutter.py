@@ -1,7 +1,5 @@
 """Clicks on pictures whose rows were exposed one after the other, against the exact geometry of every row."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The ground station's router with real certificates and sessions on loopback: who hears, asks and publishes what."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import shutil

@@ -3,8 +3,6 @@
 The pictures' ages come from the arrivals of events, so that a set 25 s old needs no 25 s of waiting.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import re

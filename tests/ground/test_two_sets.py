@@ -1,7 +1,5 @@
 """Between clicks of two sets: what both suffer from cancels, as far as it is the same, and nothing else."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

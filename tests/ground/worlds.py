@@ -1,7 +1,5 @@
 """Synthetic feature sets with truth, sampled from exactly the errors they declare."""
 
-from __future__ import annotations
-
 import dataclasses
 from dataclasses import dataclass
 

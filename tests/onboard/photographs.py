@@ -1,7 +1,5 @@
 """Photographs as cameras on aircraft write them: the pictures of a simulated flight as JPEGs with EXIF and XMP."""
 
-from __future__ import annotations
-
 import csv
 import math
 from dataclasses import dataclass

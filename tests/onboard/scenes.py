@@ -4,8 +4,6 @@ No picture is drawn: features are points of the ground, their pixels projected a
 comes from the generator that is handed in.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

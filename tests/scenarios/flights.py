@@ -4,8 +4,6 @@ Pictures are small and few, so that all scenarios together take a minute or two;
 run.
 """
 
-from __future__ import annotations
-
 import csv
 import shutil
 import tomllib

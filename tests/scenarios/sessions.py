@@ -1,7 +1,5 @@
 """The flights that the scenarios are rendered of, small and few pictures of them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from contract.camera import Camera

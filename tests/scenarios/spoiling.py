@@ -1,7 +1,5 @@
 """What is wrong on a flight: pictures spoilt by lens, air, compression or camera, telemetry lost, stamps cut."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial

@@ -1,7 +1,5 @@
 """The yield of each degeneracy: the table of docs/where-it-works.md. `python -m tests.scenarios.table`."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

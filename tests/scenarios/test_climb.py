@@ -3,8 +3,6 @@
 A recorded one, which then banks, is in test_recorded_autopilots.py.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Poses by sensors whose stamps are off, and positions seconds behind. Stamps cut to the second: test_scenarios.py."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -4,8 +4,6 @@ Simulated flights with truth. The share inside has bounds on both sides, and so 
 answered.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 

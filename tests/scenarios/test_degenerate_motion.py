@@ -1,7 +1,5 @@
 """What no row of test_scenarios.py can express: windows without parallax, and what turns show of the mount."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Pictures spoilt by lens, air, compression or camera, for a stretch of the flight or all of it: refused, or held."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import cv2

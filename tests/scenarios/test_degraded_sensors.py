@@ -4,8 +4,6 @@ Flights without pictures, their errors sampled as the configuration declares (`b
 fault on top; and one recorded by the autopilot's own filter.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Each bound of the table of scenarios can fail: on a flight of ten pictures with known clicks."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import replace
 

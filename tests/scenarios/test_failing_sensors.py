@@ -1,7 +1,5 @@
 """One sensor wrong for a while: what is said of it, what is answered meanwhile, and never worse than without it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache

@@ -1,7 +1,5 @@
 """A wide lens over rows read in turn whose file is off is learned in flight, and its answers hold what they state."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A flight whose camera hangs in a gimbal that speaks for itself: from component 154, on a boot clock of its own."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A gimbal's messages and a mount set wrong, on a real flight whose pictures are noisier than the camera file tells."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Photographs 1.4 s apart from a camera that a gimbal holds level: "auto" finds the gimbal and loses no picture."""
 
-from __future__ import annotations
-
 import math
 import tomllib
 from collections.abc import Callable

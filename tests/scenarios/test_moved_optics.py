@@ -1,7 +1,5 @@
 """Stabilised video and zooms are refused while they last, with their own reasons, and nothing else is."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace

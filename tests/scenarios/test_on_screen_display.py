@@ -1,7 +1,5 @@
 """A display burned into every picture of a flight: it is found, and the clicks are those of the clean pictures."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from shutil import copytree
 

@@ -4,8 +4,6 @@ A recorded flight, straight and around a steep turn. Once a second, with an auto
 `telemetry.max_attitude_gap_s` apart as less.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """A real flight, read row by row on a vibrating aircraft with a sparse log: what its windows leave."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -4,8 +4,6 @@ In `ratio` an error is counted in radii of its own 90 % ellipse. Where several d
 all their clicks together, for one draw is one error of the GPS.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path

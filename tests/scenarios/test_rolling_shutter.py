@@ -1,7 +1,5 @@
 """Flights whose rows are read one after the other, told so or not, drawn and rendered."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

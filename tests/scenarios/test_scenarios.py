@@ -5,8 +5,6 @@ none that hold anything; `refused`: not one click is answered, for these reasons
 answered holds. A row with `long` is of `make test-long`, and names what shows the same in `make test`.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """Camera and GPS alone over a hillside or steep hills: nothing but a turn shows the slope across a straight track."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a replay prints of pictures that come too slowly; what becomes of them is in test_scenarios.py."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """After a spin in hover over textured ground: no depth for want of motion, which is not a want of features."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

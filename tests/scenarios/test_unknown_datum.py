@@ -1,7 +1,5 @@
 """Heights that count from no one knows where, as a barometer's in a camera's subtitles: all too low by 130 m."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """A camera file without sigmas whose distortion is far off is found out in flight and costs no answer."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -4,8 +4,6 @@ A hover at 80 m, whose heading shows in a metre of travel only, with every tenth
 picture. Six flights: before, 71 % of the clicks were inside their 90 % ellipse; without such tracks 91 %. (6.15)
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

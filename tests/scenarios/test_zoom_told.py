@@ -1,7 +1,5 @@
 """A zoom from 1x to 6x, level and in turns of 45 degrees: followed where it is reported, refused where no one tells."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

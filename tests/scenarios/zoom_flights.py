@@ -1,7 +1,5 @@
 """Flights of a lens that zooms, with what is reported of it: in time, late, in steps, or not at all."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The fake autopilot against plain pymavlink: that it plays, keeps time, grants and refuses as the real ones do."""
 
-from __future__ import annotations
-
 import itertools
 import os
 import socket

@@ -1,7 +1,5 @@
 """Things that are rendered: where their truth says, at the brightness asked, hidden by nothing but the next."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """An ordinary autopilot's errors: each is found again in the telemetry that has it, and sampled as was measured."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The rendered thermal camera: heat where its truth says, as much as it says, and the sensor's faults as declared."""
 
-from __future__ import annotations
-
 import csv
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The recipe's parts that need no PyTorch: labels, crops, targets, scores, calibration, and what repeats."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The net that is installed, its calibration and its model card belong together."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from itertools import pairwise

@@ -5,8 +5,6 @@ A request is {"job": n, "argv": [...], "cwd": ..., "env": {...}, "timeout_s": ..
 true} is answered with {"job": n, "monotonic_ns": ...} and nothing else, for the offset of the two clocks.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -6,8 +6,6 @@ Each is handed over `delay_ns` after that moment and carries the moment itself, 
 has passed are left out, not hurried. The last line is `played N of M`.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 import time

@@ -1,7 +1,5 @@
 """Where what was built is kept: one folder per artefact, named by a key of all that went into it."""
 
-from __future__ import annotations
-
 import fcntl
 import hashlib
 import os

@@ -1,7 +1,5 @@
 """What the host must have before anything is built or booted, and how its commands are run."""
 
-from __future__ import annotations
-
 import os
 import platform
 import shutil

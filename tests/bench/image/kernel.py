@@ -1,7 +1,5 @@
 """The guest's kernel: Debian's source built as an ordinary program (ARCH=um), with vivid and v4l2loopback."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """The guest's disks: Debian 12 with systemd and this kernel's modules; and the locked Python packages."""
 
-from __future__ import annotations
-
 import shutil
 import sys
 from pathlib import Path

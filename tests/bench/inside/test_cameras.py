@@ -1,7 +1,5 @@
 """The bench's own promises: what is put into the loopback camera comes out of it, and vivid behaves as a camera."""
 
-from __future__ import annotations
-
 import itertools
 import sys
 import threading

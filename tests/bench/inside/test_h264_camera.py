@@ -1,7 +1,5 @@
 """A camera that hands out H.264, as webcams do: v4l2loopback with an encoder's pictures, read by `gst:v4l2src`."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import subprocess

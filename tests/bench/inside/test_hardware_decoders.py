@@ -1,7 +1,5 @@
 """Decoders of Video4Linux: what a stream is decoded by where the kernel has visl (stateless) and vicodec (stateful)."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """`libcamera:` with Debian's libcamera and its pipeline over vimc: a sensor of the kernel's, with its processing."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """The live camera where it must refuse, wait or doubt, on the kernel's own devices; `cameras` and `calibrate` too."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import itertools

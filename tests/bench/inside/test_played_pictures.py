@@ -1,7 +1,5 @@
 """The aircraft's camera source, picture by picture: what is played into a device is what comes out, in every format."""
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import subprocess

@@ -1,7 +1,5 @@
 """The commands next to `click` as their user sees them: arguments in; text, JSON, files and exit status out."""
 
-from __future__ import annotations
-
 import contextlib
 import csv
 import io

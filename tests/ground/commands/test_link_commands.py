@@ -1,7 +1,5 @@
 """Commands on a live link: what was recorded from it answers as the link did; watching; TAK over TLS."""
 
-from __future__ import annotations
-
 import json
 import socket
 import ssl

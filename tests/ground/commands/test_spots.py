@@ -1,7 +1,5 @@
 """`pc-ground spots`, and what `watch`, `record` and `cot` have of hot spots: from a recording and from the link."""
 
-from __future__ import annotations
-
 import json
 import threading
 import xml.etree.ElementTree as ET

@@ -1,7 +1,5 @@
 """What a person at the terminal mistypes: one line, no traceback, and nothing made that was not asked for."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Who is there: through a router with dozens of aircraft, and on a link to one; no one is asked for it."""
 
-from __future__ import annotations
-
 import json
 import threading
 import time

@@ -1,7 +1,5 @@
 """What a person types is read as the one place that it names, or refused; what we print is read back."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Formats as others read them: GDAL, gpxpy, mgrs, pyproj, takproto; back again without loss; hostile texts."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import io

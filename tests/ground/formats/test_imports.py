@@ -1,7 +1,5 @@
 """Files of other programs as pins: tables as spreadsheets write them, Cursor on Target from TAK."""
 
-from __future__ import annotations
-
 import contextlib
 import gc
 import io

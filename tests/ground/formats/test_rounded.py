@@ -1,7 +1,5 @@
 """Coordinates for people move a place by no more than its accuracy allows, and have no digit more than that takes."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

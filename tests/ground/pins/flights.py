@@ -1,7 +1,5 @@
 """A flight that sees one place again and again, with the errors its sets declare: clicks on it, and their truth."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

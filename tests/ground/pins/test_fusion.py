@@ -1,7 +1,5 @@
 """One pin from several clicks: its ellipse holds what it says, and shrinks no further than shared errors let it."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

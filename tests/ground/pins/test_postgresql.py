@@ -1,7 +1,5 @@
 """Pins in a PostgreSQL server: what is its own. That it stores as a file does is in test_store.py."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import threading

@@ -1,7 +1,5 @@
 """Pins shared by ground servers over real zenoh sessions on loopback: partitions, chains, liars, ten thousand."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import os

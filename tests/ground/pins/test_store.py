@@ -1,7 +1,5 @@
 """Pins on disk: there before a call returns, undone and redone, shared by threads and processes, stored as given."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import os

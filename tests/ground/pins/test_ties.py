@@ -1,7 +1,5 @@
 """Ties to known places: pins before and after get better, honestly; what cannot be is refused with its figures."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Reports of spots with truth: places with errors that a session, a picture's neighbours and no one else share."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """The area of a fire: as large as it is, inside of its band, and as fast as it spreads."""
 
-from __future__ import annotations
-
 import json
 import math
 import xml.etree.ElementTree as ET

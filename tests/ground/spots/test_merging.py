@@ -1,7 +1,5 @@
 """Spots of many pictures become things: one stays one, two stay two, walkers get a course, ellipses stay true."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace

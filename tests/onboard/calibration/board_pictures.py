@@ -1,7 +1,5 @@
 """Photographs of a calibration board, rendered through a known camera with its distortion."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 

@@ -1,7 +1,5 @@
 """A known camera is calibrated: its numbers come back with honest sigmas, or a refusal that says what to do."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Other tools' calibrations: right to a thousandth of a pixel by their own equations, or refused in one line."""
 
-from __future__ import annotations
-
 import json
 import os
 import random

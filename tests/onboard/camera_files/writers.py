@@ -4,8 +4,6 @@ The lens is written in each tool's own terms; `PROJECTIONS` are written from the
 and return coordinates as the tool counts them, which `corner` turns into ours.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

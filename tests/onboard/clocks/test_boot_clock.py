@@ -1,7 +1,5 @@
 """Boot time to host time: an injected offset, drift, reboot or step is recovered from jittered arrivals."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """Clocks that drift and whose drift changes: over ten minutes of virtual time the stamps keep to their stated sigma."""
 
-from __future__ import annotations
-
 import itertools
 import random
 from collections.abc import Callable

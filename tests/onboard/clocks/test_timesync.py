@@ -1,7 +1,5 @@
 """The boot clock by TIMESYNC: offsets, drifts, steps and disagreements, with no link and no waiting."""
 
-from __future__ import annotations
-
 import itertools
 import random
 

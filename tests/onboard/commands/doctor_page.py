@@ -1,7 +1,5 @@
 """The cases of the transcript of the doctor's lines, tests/transcripts/pc-onboard-doctor.txt."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 from contract.camera import Camera

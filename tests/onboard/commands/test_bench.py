@@ -1,7 +1,5 @@
 """`pc-onboard bench`: what it measures is a flight's work, and its verdict follows from what it measured."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

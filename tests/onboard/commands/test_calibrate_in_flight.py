@@ -1,7 +1,5 @@
 """`pc-onboard calibrate --from`: a recorded flight corrects the camera file it was flown with."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

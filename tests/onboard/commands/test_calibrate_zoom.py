@@ -1,7 +1,5 @@
 """`pc-onboard calibrate --zoom`: one camera file out of a board seen at several zoom positions."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """`check-config --fly` looks at what the configuration names, and says of each thing whether it is there."""
 
-from __future__ import annotations
-
 import os
 import pty
 from collections.abc import Iterator

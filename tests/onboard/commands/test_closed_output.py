@@ -1,7 +1,5 @@
 """`pc-onboard ... | head -1`: whoever reads may have seen enough at any time."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

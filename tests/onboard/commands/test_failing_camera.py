@@ -1,7 +1,5 @@
 """A camera that ends with any error is seen by the commands that watch it: it is raised, or stands in the report."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """Photographs whose camera's clock is off: clicks are where they are by the right clock, and where the truth is."""
 
-from __future__ import annotations
-
 import csv
 import shutil
 import time

@@ -1,7 +1,5 @@
 """Survey photographs become a flight in one command, and its clicks are where they should be."""
 
-from __future__ import annotations
-
 import csv
 import json
 import shutil

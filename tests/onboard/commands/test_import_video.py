@@ -1,7 +1,5 @@
 """A video and the log of its flight become a flight: frame times, beginning, lens and mount, listed and settable."""
 
-from __future__ import annotations
-
 import csv
 import shutil
 from datetime import UTC, datetime

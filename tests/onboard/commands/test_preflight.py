@@ -1,7 +1,5 @@
 """The doctor's lines agree with the state; what each prints, case by case: tests/transcripts/pc-onboard-doctor.txt."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

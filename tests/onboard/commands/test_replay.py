@@ -1,7 +1,5 @@
 """`pc-onboard replay`: the order of events, and every kind of bad input in one line with nothing left behind."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

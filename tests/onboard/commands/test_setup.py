@@ -1,7 +1,5 @@
 """`pc-onboard setup`: with flags and with a fake terminal; wrong answers, nothing there, an existing file, Ctrl-C."""
 
-from __future__ import annotations
-
 import argparse
 import math
 import socket

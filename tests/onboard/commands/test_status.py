@@ -1,7 +1,5 @@
 """`pc-onboard status` against a publisher on this computer, and against no one."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A configuration in several files."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

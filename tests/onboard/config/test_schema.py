@@ -1,7 +1,5 @@
 """The configuration: partial files, the commented default, and errors that teach."""
 
-from __future__ import annotations
-
 import tomllib
 from functools import reduce
 from pathlib import Path

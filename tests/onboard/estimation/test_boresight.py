@@ -1,7 +1,5 @@
 """Boresight and time offset over a flight: independent posterior updates, ageing, and what survives a restart."""
 
-from __future__ import annotations
-
 import json
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """The bundle adjustment finds the truth, knows how well, and is the same as the dense problem it never builds."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The camera's own errors: derivatives, a state file that outlives its camera file, and windows that find them."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The profile over time offsets: rejects one that is far off, never the right one, and is wide where nothing shows."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

@@ -1,7 +1,5 @@
 """Where a click's error comes from: shares that add up, and one source of error at a time that reproduces its share."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass, replace
 from unittest import mock

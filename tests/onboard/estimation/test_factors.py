@@ -1,7 +1,5 @@
 """Every analytic Jacobian against central differences, away from the solution; and what each residual measures."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

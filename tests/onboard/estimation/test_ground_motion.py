@@ -1,7 +1,5 @@
 """Ground that moves as a whole: flow disagreement measures it, and covariances grow by what it does to the solution."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

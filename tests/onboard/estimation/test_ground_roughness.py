@@ -1,7 +1,5 @@
 """How the ground strays from its plane, and what that leaves known of the plane's slope."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

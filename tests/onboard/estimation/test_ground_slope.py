@@ -1,7 +1,5 @@
 """The prior on the ground's slope: what slopes seen elsewhere say, no more, and never less wide than they are."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

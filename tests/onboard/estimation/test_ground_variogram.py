@@ -1,7 +1,5 @@
 """The variance of the slope across a track, from the heights along it: for ground of any kind, despite wrong tracks."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """What is kept of a camera file's errors when the lens is told to have zoomed. (21.2)"""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Pictures scaled or shifted by the optics, in one window of a scene with truth."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -3,8 +3,6 @@
 A point at a camera's centre fits whatever that camera saw, and holds the camera to itself. (6.16)
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Pixel noise of a fisheye, (30.4): round in what the adjustment weighs, and no wider or narrower than it is."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The range finder in the window solve: the scene's scale gets as good as it says, and a roof does not spoil it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The same points in two windows: as true as stated in a declared world, found out and widened where they are not."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache

@@ -1,7 +1,5 @@
 """One view's pose from known points: right, as sure as it says, and not misled."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

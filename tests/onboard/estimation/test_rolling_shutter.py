@@ -1,7 +1,5 @@
 """Rows read one after the other, in the adjustment, in a resection, and in what is kept of them."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Pictures that vibrate while their rows are read: found in residuals, estimated with the poses, and not imagined."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

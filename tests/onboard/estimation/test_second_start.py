@@ -1,7 +1,5 @@
 """Of two explanations of the same pictures the likelier one is published, and none where they fit alike."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Which residuals a window gets: what the configuration asks for and the data can give, each as wide as declared."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

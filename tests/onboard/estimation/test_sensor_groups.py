@@ -1,7 +1,5 @@
 """A sensor that contradicts all others is found, by name, counts for little, and is heard again."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

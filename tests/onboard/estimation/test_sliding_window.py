@@ -1,7 +1,5 @@
 """The window answers where its result is sound and says why where not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The size of the sensors' errors, estimated from residuals: right on average, from either side, never below 1."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable
 from dataclasses import replace

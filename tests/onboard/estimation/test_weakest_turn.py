@@ -1,7 +1,5 @@
 """Where a covariance cannot say how well an orientation is known, the cost's own profile does. Equation (16.10)."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

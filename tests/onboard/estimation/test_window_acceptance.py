@@ -1,7 +1,5 @@
 """A wrong window is refused with its reason, and a true one is published."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 

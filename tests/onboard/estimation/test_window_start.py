@@ -1,7 +1,5 @@
 """A window's first orientations, from rays and positions alone."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

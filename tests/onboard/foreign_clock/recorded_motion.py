@@ -1,7 +1,5 @@
 """The motion of pictures that a camera would have taken on a recorded flight, from the truth, without drawing any."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A camera's clock is found over the whole log to its sigma, or it is refused: on recorded autopilots."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A plane's pictures have a second motion, and `mirrored` finds it where it is possible. Equations (3.9), (3.10)."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

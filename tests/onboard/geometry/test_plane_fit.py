@@ -1,7 +1,5 @@
 """The ground plane under the points, and the roll that makes it level."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """Starting orientations: right where the seed's assumptions hold, near enough where they do not."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Reweighting: what lies far off counts little, what is known beforehand counts as much as it is said to."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Some of many, evenly over all of them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

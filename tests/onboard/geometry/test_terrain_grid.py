@@ -1,7 +1,5 @@
 """Terrain in memory and from files: heights between nodes, where rays meet it, nothing invented where there is none."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

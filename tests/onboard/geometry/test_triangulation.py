@@ -1,7 +1,5 @@
 """Points where rays meet, and the parallax that says how well."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

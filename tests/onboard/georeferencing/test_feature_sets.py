@@ -1,7 +1,5 @@
 """What is published is what is true: clicks on solved windows fall into their ellipses as often as the ellipses say."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from functools import cache
 

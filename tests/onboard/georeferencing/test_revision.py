@@ -1,7 +1,5 @@
 """A picture is placed again where that changes what clicks are answered, and nowhere else."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

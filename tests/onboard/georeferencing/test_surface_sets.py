@@ -1,7 +1,5 @@
 """Answers over a ground known beforehand: right where the pose is, and as wide as pose and ground deserve."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

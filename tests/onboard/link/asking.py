@@ -3,8 +3,6 @@
 Where it is the claim that no one answers, ask once, with `ground.client.ask` itself, or `nobody_answers`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, TypeVar
 

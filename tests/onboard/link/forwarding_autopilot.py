@@ -3,8 +3,6 @@
 It plays its log on the UDP ports of a companion and of a radio, and passes on what they send to each other.
 """
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess

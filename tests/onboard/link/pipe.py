@@ -3,8 +3,6 @@
 What is forwarded for others is dropped without a word where the autopilot's buffer has no room, as ArduPilot does.
 """
 
-from __future__ import annotations
-
 import heapq
 import itertools
 import random

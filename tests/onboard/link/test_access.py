@@ -1,7 +1,5 @@
 """Who may connect, read and publish: certificates and access control over real zenoh sessions on loopback."""
 
-from __future__ import annotations
-
 import json
 import os
 import stat

@@ -1,7 +1,5 @@
 """Clicks through the autopilot's radio in virtual time: how soon they are answered, and what that costs others."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import random

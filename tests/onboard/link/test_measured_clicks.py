@@ -1,7 +1,5 @@
 """A click over a real zenoh link: the aircraft measures its pixel, or states why not, and other clicks are as ever."""
 
-from __future__ import annotations
-
 import json
 import time
 from collections.abc import Iterator

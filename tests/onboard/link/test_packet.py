@@ -1,7 +1,5 @@
 """One set, one packet."""
 
-from __future__ import annotations
-
 import socket
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Which queries wait for a picture's set, and how long."""
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st

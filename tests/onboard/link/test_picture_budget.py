@@ -1,7 +1,5 @@
 """What pictures may take of the link: what nothing else wants, and no moment of a set's time. No clock, no link."""
 
-from __future__ import annotations
-
 import itertools
 
 import pytest

@@ -1,7 +1,5 @@
 """Keyframes as pictures over the link: the daemon's sink, real zenoh sessions on loopback, the ground's cache."""
 
-from __future__ import annotations
-
 import dataclasses
 import threading
 import time

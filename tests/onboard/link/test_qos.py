@@ -1,7 +1,5 @@
 """The table of topics is what travels: both ends take the quality of service from it."""
 
-from __future__ import annotations
-
 import pytest
 import zenoh
 

@@ -1,7 +1,5 @@
 """`benchmarks.radio` against a recorded autopilot that forwards, in the place of a simulator."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import subprocess

@@ -1,7 +1,5 @@
 """What may go out on the link and which set goes: the cap, the shares, freshness. No clock, no link."""
 
-from __future__ import annotations
-
 import itertools
 import random
 from functools import partial

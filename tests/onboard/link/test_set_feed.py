@@ -1,7 +1,5 @@
 """Sets in pieces through the autopilot's radio, in virtual time: how often, how old, and at whose cost."""
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import dataclass, field
 

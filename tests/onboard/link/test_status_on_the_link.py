@@ -1,7 +1,5 @@
 """The status topic over real zenoh sessions on the loopback interface."""
 
-from __future__ import annotations
-
 import json
 import time
 from threading import Thread

@@ -4,8 +4,6 @@ Each way has a bit rate and a queue without end, as a radio's; a cut loses datag
 what was lost, so nothing else is seen of a cut above it); loss is for datagrams only. Bytes are counted on the way.
 """
 
-from __future__ import annotations
-
 import contextlib
 import random
 import select

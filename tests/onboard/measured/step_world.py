@@ -1,7 +1,5 @@
 """Ground with one flat roof above it, seen from an aircraft: pictures and sets whose truth is simple arithmetic."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 

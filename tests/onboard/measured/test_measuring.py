@@ -1,7 +1,5 @@
 """A clicked pixel measured by itself: how right it is, how right its sigma is, and when it is refused."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

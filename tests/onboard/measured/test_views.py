@@ -1,7 +1,5 @@
 """Where other pictures were taken, from the features of the clicked one: (29.1) to (29.3)."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

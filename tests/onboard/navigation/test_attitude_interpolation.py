@@ -1,7 +1,5 @@
 """Between attitudes: how far interpolation may be off, by the messages themselves."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """No position before a fix, in whatever order an autopilot's first messages come, and the reason in words."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator
 

@@ -1,7 +1,5 @@
 """A gimbal's attitude in place of the fixed mount's, in both ways that gimbals count their yaw."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

@@ -1,7 +1,5 @@
 """Navigation: interpolation against truth, and every reason to refuse."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Between positions: how far place and distance displacement may be off, by the positions themselves."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -4,8 +4,6 @@ Faults are put into the positions of `plane_rough`, whose filter is shaken in ro
 are horizontal and counted in radii of their own 90 % circle.
 """
 
-from __future__ import annotations
-
 import functools
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What acceleration does to a filter in order is no slip; what a receiver's fault does is, in a turn as on a leg."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """What a flight found is named with units, and only what is news is said."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

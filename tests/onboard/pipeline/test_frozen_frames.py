@@ -1,7 +1,5 @@
 """An old picture given as new is seen for what it is; a hovering aircraft is not suspected."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

@@ -1,7 +1,5 @@
 """Keyframes are looked up again where the time offset is known better than when they were taken."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """How a camera sits, found by the pictures of a flight among 24 ways, and said only where they tell."""
 
-from __future__ import annotations
-
 import tomllib
 from pathlib import Path
 

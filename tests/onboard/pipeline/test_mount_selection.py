@@ -1,7 +1,5 @@
 """The mount hypothesis is selected by reprojection error: the true one wins, and none where nothing shows which."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

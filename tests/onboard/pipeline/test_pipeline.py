@@ -1,7 +1,5 @@
 """A small rendered flight through the whole pipeline: every frame answered, reasons given, the same bytes again."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor

@@ -1,7 +1,5 @@
 """Of a camera that is faster than the link, most pictures are placed once: when the window has seen past them."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from dataclasses import replace
 

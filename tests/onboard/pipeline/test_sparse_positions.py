@@ -3,8 +3,6 @@
 And as surely as is said, in turns too, where what lies between two positions is known less.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Iterator
 

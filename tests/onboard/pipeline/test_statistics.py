@@ -1,7 +1,5 @@
 """What a flight without an answer is told: counts that agree with each other, however long it was."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from contract.feature_set import Status

@@ -4,8 +4,6 @@ A lens that nobody has seen zoom, after a sudden loss, until the ground is as de
 among those of stabilised video, until two in a row do.
 """
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What is told of a zoom: when the lens moves, where it stands then, and how well that is known."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

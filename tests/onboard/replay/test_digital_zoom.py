@@ -1,7 +1,5 @@
 """Digital zoom that a log states: the focal length goes with it, and a picture of another zoom is not used."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

@@ -1,7 +1,5 @@
 """What a replay's inputs have to do with each other: a video next to its subtitles, EXIF cut to the second, help."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

@@ -1,7 +1,5 @@
 """Things followed in a recorded flight: as in the air, and the same again each time."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from pathlib import Path

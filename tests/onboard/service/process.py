@@ -1,7 +1,5 @@
 """`pc-onboard run` as a process, with a played camera and a fake autopilot that keep step on the host's clock."""
 
-from __future__ import annotations
-
 import csv
 import resource
 import shutil

@@ -1,7 +1,5 @@
 """What the parts of a daemon may say, for property tests; and the report that a session makes of it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from hypothesis import HealthCheck, settings

@@ -1,7 +1,5 @@
 """Clicks of a camera component next to the pipeline: what is clicked is followed, with the click's own uncertainty."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

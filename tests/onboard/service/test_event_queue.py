@@ -1,7 +1,5 @@
 """The event queue: telemetry always, pictures while they are of now."""
 
-from __future__ import annotations
-
 import math
 import threading
 import time

@@ -1,7 +1,5 @@
 """Temperature and disk of the computer, from files of the kernel's shape."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from onboard.service.host import cpu_temperature_c, free_mb

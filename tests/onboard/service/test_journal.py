@@ -1,7 +1,5 @@
 """The service's log, as journald and as a terminal want it."""
 
-from __future__ import annotations
-
 import logging
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """Rates of the last seconds: each picture that can be clicked counts once, however late its set comes."""
 
-from __future__ import annotations
-
 from contract.camera import Camera
 from contract.feature_set import FeatureSet, Status
 from onboard.service.live_rates import RATE_WINDOW_NS, LiveRates

@@ -1,7 +1,5 @@
 """The thread that measures clicks: pictures kept within its bytes, questions bounded, hostile ones harmless."""
 
-from __future__ import annotations
-
 import dataclasses
 import weakref
 

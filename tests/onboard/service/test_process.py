@@ -4,8 +4,6 @@ Each takes half a minute of real time, so those are `long` whose claim is also h
 test_rotating_recorder, a reload by test_daemon, a full disk by test_faults, a reboot by test_link_faults.
 """
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """Prometheus: every figure once, in base units, as its own library reads them; served where configured only."""
 
-from __future__ import annotations
-
 import re
 import socket
 import urllib.request

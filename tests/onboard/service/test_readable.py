@@ -1,7 +1,5 @@
 """Whether the service's user may read a file is judged for that user, whoever asks."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What flew live, in threads and in time, comes out of its recording byte for byte."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """The daemon's report: there and back as JSON, whatever it holds."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Words to systemd, found at a socket of the same kind."""
 
-from __future__ import annotations
-
 import os
 import socket
 from collections.abc import Iterator

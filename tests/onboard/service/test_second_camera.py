@@ -1,7 +1,5 @@
 """A thermal camera next to the first one in the daemon: its own thread and stamps; when it fails, nothing else does."""
 
-from __future__ import annotations
-
 import threading
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The thread that looks for spots: each picture once, the newest of those that wait, and what it finds goes out."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import json

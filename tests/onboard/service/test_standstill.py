@@ -1,7 +1,5 @@
 """At rest on the ground: by PX4's word, or by positions that do not move; and what state and doctor make of it."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Generator
 from contextlib import closing

@@ -1,7 +1,5 @@
 """The thread that follows: requests answered at once, hostile ones refused, reports twice a second by its own clock."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

@@ -1,7 +1,5 @@
 """A flight in the daemon while things are followed: asked for over the link, reported on it, and the sets are sent."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The state in a word, by table; and when the watchdog may be fed."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """Thermal pictures of rendered ground from poses that are known, each with a set that says so."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

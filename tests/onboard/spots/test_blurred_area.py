@@ -1,7 +1,5 @@
 """Areas of things that the lens has blurred are those of the things, from some two pixels across on."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """The contrast that the ground alone reaches so often a square kilometre, from the ground that was seen."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

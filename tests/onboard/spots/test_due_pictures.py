@@ -1,7 +1,5 @@
 """Pictures to look at: with counts and a set, no more often than asked for, and never an older one."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Two cameras, end to end: rendered heat seen by the second, poses of the first, and spots where the heat is."""
 
-from __future__ import annotations
-
 import logging
 import re
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The second camera's angles and stamps, learned from things that are seen from several sides."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import numpy as np

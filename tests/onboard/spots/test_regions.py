@@ -1,7 +1,5 @@
 """How much ground a pixel shows, what stands out of it, and how large it is."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

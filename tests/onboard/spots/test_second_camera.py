@@ -1,7 +1,5 @@
 """A thermal camera next to the first one: its rays, whose pose is known with an error, on the first one's ground."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """Spots of a flight over rendered ground: found, placed, seen again, and said why not."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Places where a thing may be, by the looks of a flight whose peaks are sampled: who is where is known."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import numpy as np

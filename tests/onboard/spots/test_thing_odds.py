@@ -1,7 +1,5 @@
 """The odds of a thing by all looks at a place, on looks sampled from the law itself. (25.14) to (25.17)"""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

@@ -1,7 +1,5 @@
 """People in real thermal pictures that the net was not trained on (HIT-UAV, ../shared), looked at as in the air."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 from functools import cache

@@ -1,7 +1,5 @@
 """A camera that sees light and a thermal one next to it, turning over level ground, with poses that are known."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What was learned in flight survives until the next one, or the file is refused by name."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

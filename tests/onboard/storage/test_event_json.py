@@ -1,7 +1,5 @@
 """Events in a recording, and what Foxglove is shown of them: round trips and published schemas."""
 
-from __future__ import annotations
-
 import base64
 import io
 import json

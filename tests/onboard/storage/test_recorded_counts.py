@@ -1,7 +1,5 @@
 """A thermal camera's counts in a recording: back as they were, or not at all, never those of another picture."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A clicked pixel is measured in a recording as on board, also where pictures are damaged or missing."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What a recording does with a disk that stalls or fails and with what it cannot write: gaps, faults, no waiting."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import threading

@@ -1,7 +1,5 @@
 """The live recording: parts, a disk that fills and empties, SIGKILL; and what a replay makes of it."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import os

@@ -1,7 +1,5 @@
 """A session's number is higher than that of any before it, whatever the clock shows at the start."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -4,8 +4,6 @@ Too long for every test run (a million take some minutes); prints how many, how 
 with a traceback at the first that anything raises on, after naming its seed.
 """
 
-from __future__ import annotations
-
 import math
 import random
 import sys

@@ -1,7 +1,5 @@
 """A telemetry source run in a thread next to a fake autopilot, and what has come out of it."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable, Iterator

@@ -4,8 +4,6 @@ North at 20 m/s with a gentle roll, 100 m above a home at 350 m above sea level.
 flight at T0_S of Unix time.
 """
 
-from __future__ import annotations
-
 import functools
 import io
 import itertools

@@ -1,7 +1,5 @@
 """NMEA sentences of a receiver that flies east, written for tests."""
 
-from __future__ import annotations
-
 
 def sentence(body: str) -> bytes:
     """With its checksum."""

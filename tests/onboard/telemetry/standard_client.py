@@ -4,8 +4,6 @@ It knows nothing of pointclick: discovery by a camera's heartbeat, CAMERA_INFORM
 acknowledgements. Without a router it stands in for the autopilot, whose heartbeat it sends too.
 """
 
-from __future__ import annotations
-
 import socket
 import time
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """One recording over every wire and both libraries: the same events, at their true moments."""
 
-from __future__ import annotations
-
 import itertools
 import time
 from collections.abc import Iterator

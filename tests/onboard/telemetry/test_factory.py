@@ -1,7 +1,5 @@
 """What a configuration opens, what it refuses in one line, and a log played in real time."""
 
-from __future__ import annotations
-
 import struct
 import threading
 from pathlib import Path

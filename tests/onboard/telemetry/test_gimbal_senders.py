@@ -1,7 +1,5 @@
 """Gimbals on a MAVLink line: whose attitude counts, on which clock, and what becomes of silence and damage."""
 
-from __future__ import annotations
-
 import math
 import struct
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What the field does to a telemetry link, one fault a test: said within `lost_after_s`, got over by itself."""
 
-from __future__ import annotations
-
 import itertools
 import random
 import socket

@@ -1,7 +1,5 @@
 """One flight as a log of every kind: the same events, and one line for what is no log."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import random

@@ -1,7 +1,5 @@
 """mavsdk within our process: its threads call into Python, and outlive a careless owner."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What is asked of autopilots that grant, deny, ignore and forget; time is a number here."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import pytest

@@ -1,7 +1,5 @@
 """A plain GPS receiver: its sentences as events, its clock as ours, its faults."""
 
-from __future__ import annotations
-
 import math
 import os
 import tty

@@ -3,8 +3,6 @@
 Formats as DataFlash.h of that time has them.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 from pathlib import Path

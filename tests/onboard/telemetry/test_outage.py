@@ -1,7 +1,5 @@
 """GPS switched off and jammed in a recorded ArduPilot flight: the pipeline refuses in time, and recovers by itself."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Logs as their owners have them: resaved by spreadsheets, of clocks that were set, of several makers' habits."""
 
-from __future__ import annotations
-
 import functools
 import operator
 from pathlib import Path

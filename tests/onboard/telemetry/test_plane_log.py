@@ -1,7 +1,5 @@
 """One real autopilot's flight as its own log (.bin) and as a ground station's (.tlog), against truth."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 

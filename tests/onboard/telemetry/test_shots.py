@@ -1,7 +1,5 @@
 """When a camera's shutter was released, as logs and DJI's timestamp file have it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

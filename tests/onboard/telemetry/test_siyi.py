@@ -1,7 +1,5 @@
 """SIYI's protocol, by its manual's own examples, and a gimbal that speaks it over loopback."""
 
-from __future__ import annotations
-
 import math
 import socket
 import struct

@@ -1,7 +1,5 @@
 """DJI's subtitles: which number is the latitude, how well a height is known, digital zoom and stabilisation."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

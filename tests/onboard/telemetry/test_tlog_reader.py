@@ -1,7 +1,5 @@
 """Telemetry logs: what is read, whose, on which clock, and what damage costs."""
 
-from __future__ import annotations
-
 import math
 import random
 import struct

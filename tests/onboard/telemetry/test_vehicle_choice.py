@@ -1,7 +1,5 @@
 """Which vehicle on a line is ours, with time as a number: what is refused and stated, and whose positions count."""
 
-from __future__ import annotations
-
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 

@@ -1,7 +1,5 @@
 """Telemetry in a video's own tracks; that of a whole flight is in `test_log_files`."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """An on-screen display in every picture: with its mask no feature is taken on it, and the ground is followed."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

@@ -1,7 +1,5 @@
 """Features found again in rendered pictures whose motion is known, and not found where they are not."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 

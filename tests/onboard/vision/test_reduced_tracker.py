@@ -1,7 +1,5 @@
 """Large pictures tracked at a working size: pixels and motions are the full picture's, and more pixels lose nothing."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

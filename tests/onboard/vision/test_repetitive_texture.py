@@ -1,7 +1,5 @@
 """Self-likeness: pictures that repeat themselves are found to, others are not, and the tracker then asks telemetry."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

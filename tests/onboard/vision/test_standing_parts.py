@@ -1,7 +1,5 @@
 """What stands still while the ground moves is found: all of it, nothing of the ground, and forgotten when it goes."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 

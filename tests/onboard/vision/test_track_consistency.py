@@ -1,7 +1,5 @@
 """The tracks' own error is estimated from their neighbours; hills, roofs and few tracks do not bias it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given
