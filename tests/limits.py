@@ -3,6 +3,7 @@
 Several times what the slowest of a kind takes on two busy cores: a limit ends what hangs and judges no speed.
 """
 
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -15,9 +16,14 @@ TESTS = Path(__file__).parent
 
 def limit_s(item: pytest.Item) -> float:
     """Return the limit of a test in seconds, by its marker and its folder."""
-    if item.path.is_relative_to(TESTS / "bench") or item.path.is_relative_to(TESTS / "arm64"):
+    if is_in_guest(item.path.parent):
         return GUEST_S
     return LONG_S if item.get_closest_marker("long") else ORDINARY_S
+
+
+@cache
+def is_in_guest(folder: Path) -> bool:
+    return any(folder.is_relative_to(TESTS / name) for name in ("bench", "arm64"))
 
 
 def limit(items: list[pytest.Item]) -> None:

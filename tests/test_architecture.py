@@ -135,6 +135,11 @@ def imports(module: str) -> tuple[Import, ...]:
     return tuple(visit(ast.parse(path_of(module).read_text(encoding="utf-8")), False))
 
 
+@cache
+def docstring_of(module: str) -> str:
+    return ast.get_docstring(ast.parse(path_of(module).read_text(encoding="utf-8"))) or ""
+
+
 def is_allowed(importer: str, imported: str) -> bool:
     """Whether a module may import another of this project."""
     one, other = package_of(importer), package_of(imported)
@@ -303,7 +308,7 @@ def test_what_packages_take_from_each_other_is_public() -> None:
             home = package_of(i.module)
             if i.top != "onboard" or home == package_of(m) or home == "onboard":
                 continue
-            listed = ast.get_docstring(ast.parse(path_of(home).read_text(encoding="utf-8"))) or ""
+            listed = docstring_of(home)
             missing = [n for n in i.names or (i.module.rpartition(".")[2],) if not re.search(rf"\b{n}\b", listed)]
             found += [f"{m} takes {i.module}.{n}, which {home}'s docstring does not list" for n in missing]
     assert not found, "\n".join(found)

@@ -7,6 +7,7 @@ does.
 import ast
 import re
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -24,9 +25,19 @@ CLAUSE = {
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 
-def definitions(part: str) -> Iterator[tuple[Path, ast.AST]]:
+@cache
+def definitions(part: str) -> tuple[list[tuple[str, str]], list[str]]:
+    """Places with their docstrings; and the public functions of more than one statement that have none."""
+    found, silent = [], []
     for path in sorted((ROOT / part).rglob("*.py")):
-        yield from ((path, node) for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+        tree, name = ast.parse(path.read_text(encoding="utf-8")), path.relative_to(ROOT)
+        for node in ast.walk(tree):
+            if isinstance(node, Function | ast.ClassDef | ast.Module) and (text := ast.get_docstring(node)):
+                found.append((f"{name}:{getattr(node, 'lineno', 1)}", text))
+        for node in public_functions(tree):
+            if len(node.body) > 1 and ast.get_docstring(node) is None and not has_summary(node):
+                silent.append(f"{name}:{node.lineno}: {node.name}")
+    return found, silent
 
 
 def begins_with_a_clause(docstring: str) -> bool:
@@ -36,16 +47,8 @@ def begins_with_a_clause(docstring: str) -> bool:
 
 @pytest.mark.parametrize("part", PARTS)
 def test_docstrings_begin_with_a_verb_or_a_noun_phrase(part: str) -> None:
-    found = [
-        (path, node, text)
-        for path, node in definitions(part)
-        if isinstance(node, Function | ast.ClassDef | ast.Module) and (text := ast.get_docstring(node))
-    ]
-    clauses = [
-        f"{path.relative_to(ROOT)}:{getattr(node, 'lineno', 1)}: {text.splitlines()[0]}"
-        for path, node, text in found
-        if begins_with_a_clause(text)
-    ]
+    found, _ = definitions(part)
+    clauses = [f"{place}: {text.splitlines()[0]}" for place, text in found if begins_with_a_clause(text)]
     assert len(clauses) <= PARTS[part] * len(found), "\n".join(clauses)
 
 
@@ -66,12 +69,7 @@ def has_summary(node: Function) -> bool:
 
 @pytest.mark.parametrize("part", ["contract", "ground", "onboard", "simulation"])
 def test_a_public_function_of_more_than_one_statement_has_a_docstring(part: str) -> None:
-    silent = [
-        f"{path.relative_to(ROOT)}:{node.lineno}: {node.name}"
-        for path, tree in definitions(part) if isinstance(tree, ast.Module)
-        for node in public_functions(tree)
-        if len(node.body) > 1 and ast.get_docstring(node) is None and not has_summary(node)
-    ]  # fmt: skip
+    _, silent = definitions(part)
     assert not silent, "\n".join(silent)
 
 

@@ -35,7 +35,7 @@ from tests.waiting import PATIENCE_S
 pytestmark = pytest.mark.xdist_group("end to end")  # one worker: what they share is made once
 
 ROOT = Path(__file__).resolve().parents[1]
-FRAMES = 45
+FRAMES = 31
 SEED_SENSORS = '[solve]\nattitude = "none"\nvelocity = false\nlevel_ground = true\n'
 FULL_SET = '[solve]\nattitude = "autopilot"\nvelocity = true\n'
 MOUNT = "[mount]\nroll_deg = 0.0\npitch_deg = -90.0\nyaw_deg = -90.0\n\n"
@@ -65,7 +65,7 @@ def replay_arguments(flight: Path, **changed: object) -> list[str]:
 
 @pytest.fixture(scope="module")
 def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Nine seconds of a recorded flight 250 m up at 20 m/s, 5 pictures a second, over hills of 10 m."""
+    """Six seconds of a recorded flight 250 m up at 20 m/s, 5 pictures a second, over hills of 10 m."""
     folder = tmp_path_factory.mktemp("flight") / "session"
     spec = SessionSpec(
         RecordedSpec("plane_turn", 3.0, whole_log=False),
@@ -121,7 +121,7 @@ def test_clicks_land_where_they_should(
 ) -> None:
     rows = list(csv.DictReader((flight / "truth_clicks.csv").open()))
     answers = batch(flight / "truth_clicks.csv", simulated[sensors].recording)
-    assert len(answers) == len(rows) > 500
+    assert len(answers) == len(rows) > 300
     errors_m, inside = [], []
     for row, answer in zip(rows, answers, strict=True):
         assert answer["frame"] == int(row["frame"])
@@ -169,7 +169,7 @@ def test_a_cold_click_takes_under_a_second(simulated: dict[str, Simulated]) -> N
     """Alone it takes 0.2 s."""
     assert simulated["full"]
     times: list[float] = []
-    while len(times) < 3 or (min(times) >= 1.0 and len(times) < 10):  # the machine may stand still for a second
+    while not times or (min(times) >= 1.0 and len(times) < 10):  # the machine may stand still for a second
         began = time.monotonic()
         assert run("ground", "click", 320, 240, "--frame", 20, "--from", simulated["full"].recording).returncode == 0
         times.append(time.monotonic() - began)
@@ -236,7 +236,7 @@ def test_newest_time_and_unknown_pictures_over_the_link(flight: Path, endpoint: 
 def test_a_live_cold_click_takes_under_a_second(endpoint: str) -> None:
     click_until(endpoint, 320, 240, "--frame", 20, code=0)
     times: list[float] = []
-    while len(times) < 3 or (min(times) >= 1.0 and len(times) < 10):  # the machine may stand still for a second
+    while not times or (min(times) >= 1.0 and len(times) < 10):  # the machine may stand still for a second
         began = time.monotonic()
         assert run("ground", "click", 320, 240, "--frame", 20, "--connect", endpoint).returncode == 0
         times.append(time.monotonic() - began)

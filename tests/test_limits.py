@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 from tests.conftest import EXAMPLES, asks_for_long
 from tests.limits import GUEST_S, LONG_S, ORDINARY_S, TESTS, limit_s
@@ -76,13 +77,15 @@ def test_a_run_of_long_tests_is_known_by_its_expression(expression: str, is_long
     assert asks_for_long(expression) is is_long
 
 
-@pytest.mark.parametrize(("expression", "profile"), [("long and not wall_clock", "many"), ("not long", "few")])
-def test_a_property_is_tried_with_more_examples_in_the_long_run(expression: str, profile: str) -> None:
-    file = "tests/contract/test_codec.py"
+def test_a_property_is_tried_with_more_examples_in_the_long_run(request: pytest.FixtureRequest) -> None:
+    """Of the run that this test is in, and of another of long tests."""
+    is_long = asks_for_long(request.config.option.markexpr)
+    if not request.config.getoption("--hypothesis-profile"):
+        assert settings().max_examples == EXAMPLES["many" if is_long else "few"]
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", file, "-m", expression, "-p", "no:cacheprovider",
+        [sys.executable, "-m", "pytest", "tests/contract/test_codec.py", "-m", "long", "-p", "no:cacheprovider",
          "--hypothesis-show-statistics", "-k", "test_any_bytes_are_a_set_or_a_named_error"],
         cwd=TESTS.parent, capture_output=True, text=True, check=False, timeout=200,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
-    assert f"settings.max_examples={EXAMPLES[profile]}" in done.stdout
+    assert f"settings.max_examples={EXAMPLES['many']}" in done.stdout

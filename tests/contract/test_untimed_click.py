@@ -1,6 +1,8 @@
 """A click whose picture's time is known to some tenths of a second: its ellipse has that, and no more."""
 
 import math
+from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 import pytest
@@ -11,10 +13,22 @@ from contract.untimed_click import UntimedClick, locate_untimed
 from tests.onboard.tracks.flat_world import CAMERA, EPOCH_NS, M_PX, PLACE, RATE_HZ, World
 
 SPEED_M_S, SIGMA_S = 8.0, 0.3
-WORLD = World(camera=lambda t: (SPEED_M_S * t, 0.0))
-SETS = [WORLD.its_set(number) for number in range(60)]
 POSE_ERROR_M = np.array([0.8, -0.5])  # of every set of that world; one sigma of it is stated as 1 m
 SHARE = (0.25, 0.4)
+
+
+def its_sets(world: World) -> list[FeatureSet]:
+    return [world.its_set(number) for number in range(60)]
+
+
+@cache
+def world() -> World:
+    return World(camera=lambda t: (SPEED_M_S * t, 0.0))
+
+
+@cache
+def passing() -> list[FeatureSet]:
+    return its_sets(world())
 
 
 def at_ns(time_s: float) -> int:
@@ -22,7 +36,7 @@ def at_ns(time_s: float) -> int:
 
 
 def clicked(moment_s: float, sets: list[FeatureSet] | None = None, sigma_s: float = SIGMA_S) -> UntimedClick:
-    return locate_untimed(SETS if sets is None else sets, SHARE, at_ns(moment_s), sigma_s)
+    return locate_untimed(passing() if sets is None else sets, SHARE, at_ns(moment_s), sigma_s)
 
 
 def error_m(found: UntimedClick, shown_s: float) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
@@ -47,7 +61,7 @@ def test_nine_of_ten_clicks_are_inside_whatever_the_delay_was_and_the_ellipse_is
     found = clicked(3.0)
     assert isinstance(found.answer, Fix)
     rng = np.random.default_rng(1)
-    # Each with a delay and a pose of its own: those of SETS are taken off.
+    # Each with a delay and a pose of its own: those of its sets are taken off.
     errors = np.array([error_m(found, 3.0 + rng.normal(0.0, SIGMA_S)) for _ in range(2000)])
     errors += rng.normal(0.0, 1.0, errors.shape) - POSE_ERROR_M
     chi2 = np.einsum("ni,ij,nj->n", errors, np.linalg.inv(found.answer.covariance_enu_m2[:2, :2]), errors)
@@ -60,40 +74,37 @@ def test_nine_of_ten_clicks_are_inside_whatever_the_delay_was_and_the_ellipse_is
 def test_a_turn_that_no_straight_line_follows_widens_it() -> None:
     """The camera swings to and fro within the delay: its mean is known, where it was is not."""
     swinging = World(camera=lambda t: (4.0 * math.sin(2.0 * math.pi * t / 0.5), 0.0))
-    found = clicked(3.0, [swinging.its_set(number) for number in range(60)])
+    found = clicked(3.0, its_sets(swinging))
     assert 2.0 <= math.sqrt(found.by_delay_m2[0, 0]) <= 4.5
 
 
 def test_a_hovering_aircraft_owes_nothing_to_the_delay() -> None:
-    hovering = World()
-    found = clicked(3.0, [hovering.its_set(number) for number in range(60)])
+    found = clicked(3.0, its_sets(World()))
     assert isinstance(found.answer, Fix) and np.max(np.abs(found.by_delay_m2)) < 1e-6
     assert np.isclose(found.answer.ellipse.semi_major_m, 2.146, rtol=0.02)
 
 
 def test_sets_that_come_seldom_still_state_how_far_it_moves() -> None:
-    found = clicked(3.0, SETS[::15])
+    found = clicked(3.0, passing()[::15])
     assert np.isclose(found.by_delay_m2[0, 0], (SPEED_M_S * SIGMA_S) ** 2, rtol=0.1)
 
 
 @pytest.mark.parametrize(
     ("sets", "moment_s", "status"),
     [
-        pytest.param([], 3.0, Status.STALE, id="none"),
-        pytest.param(SETS, 30.0, Status.STALE, id="long ago"),
-        pytest.param(SETS[30:31], 3.0, Status.STALE, id="one alone knows no speed"),
-        pytest.param(
-            [World(status=Status.TURNING).its_set(number) for number in range(60)], 3.0, Status.TURNING, id="no pose"
-        ),
+        pytest.param(list, 3.0, Status.STALE, id="none"),
+        pytest.param(passing, 30.0, Status.STALE, id="long ago"),
+        pytest.param(lambda: passing()[30:31], 3.0, Status.STALE, id="one alone knows no speed"),
+        pytest.param(lambda: its_sets(World(status=Status.TURNING)), 3.0, Status.TURNING, id="no pose"),
     ],
 )
-def test_what_cannot_be_known_is_refused(sets: list[FeatureSet], moment_s: float, status: Status) -> None:
-    answer = clicked(moment_s, sets).answer
+def test_what_cannot_be_known_is_refused(sets: Callable[[], list[FeatureSet]], moment_s: float, status: Status) -> None:
+    answer = clicked(moment_s, sets()).answer
     assert isinstance(answer, Refusal) and answer.status is status and answer.reason
 
 
 def test_pictures_without_a_place_among_others_that_have_one_hold_up_no_click() -> None:
-    lost = World(status=Status.TURNING, camera=WORLD.camera)
-    mixed = [(lost if number % 3 == 0 else WORLD).its_set(number) for number in range(60)]
+    lost = World(status=Status.TURNING, camera=world().camera)
+    mixed = [(lost if number % 3 == 0 else world()).its_set(number) for number in range(60)]
     assert np.allclose(error_m(clicked(3.0, mixed), 3.0), POSE_ERROR_M, atol=0.05)
     assert RATE_HZ == 10.0  # so that every third of them is 0.3 s from the next

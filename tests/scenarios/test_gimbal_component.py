@@ -75,8 +75,8 @@ def over_the_line(flight: GimbalFlight, config: Config, component: int = 154) ->
         yield from autopilot.receive(message, arrival_ns)
 
 
-def answered(found: Simulated) -> tuple[float, list[float]]:
-    pictures, errors = found.pictures_in(3.0, SECONDS), found.errors_in(3.0, SECONDS)
+def answered(found: Simulated, seconds: float = SECONDS) -> tuple[float, list[float]]:
+    pictures, errors = found.pictures_in(3.0, seconds), found.errors_in(3.0, seconds)
     return pictures[Status.OK] / pictures.total(), errors
 
 
@@ -91,9 +91,10 @@ def test_a_gimbal_on_a_clock_of_its_own_serves_like_one_that_the_autopilot_passe
 
 
 def test_auto_finds_that_it_carries_the_camera() -> None:
-    found = simulated(survey(), events=over_the_line(survey(), parse_config("")))
+    flight = survey(seconds=16.0)
+    found = simulated(flight, events=over_the_line(flight, parse_config("")))
     assert found.pipeline.mount_selection.verdict is MountHypothesis.GIMBAL
-    share, errors = answered(found)
+    share, errors = answered(found, 16.0)
     assert share > 0.7 and max(errors) < 2.0, (share, max(errors))
 
 

@@ -158,7 +158,7 @@ def flown_pair() -> tuple[Solved, Solved]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Window, "adopt", watch)
-        fly(SampledFlight(SampledSpec(DECLARED, PathSpec(), seconds=26.0), 3))
+        fly(SampledFlight(SampledSpec(DECLARED, PathSpec(), seconds=18.0), 3))
     later = solved[-1]
     start_ns = later.keyframes[0].nav.stamp_ns
     return [s for s in solved if s.keyframes[-1].nav.stamp_ns < start_ns][-1], later

@@ -68,21 +68,13 @@ class World:
 
     def draw(self, number: int) -> NDArray[np.uint8]:
         """The same, not kept."""
-        rng = np.random.default_rng([self.seed, 7])
-        textures = [self._texture(rng) for _ in range(2)]
         _, at, on = self.depths(number, GRID)
         columns, rows = ((at[..., i] / TEXEL_M % (SIZE - 1)).astype(np.float32) for i in (0, 1))
-        ground, roof = (cv2.remap(texture, columns, rows, cv2.INTER_LINEAR) for texture in textures)
+        ground, roof = (
+            cv2.remap(texture, columns, rows, cv2.INTER_LINEAR) for texture in textures(self.seed, self.stripe_m)
+        )
         noise = np.random.default_rng([self.seed, 8, number]).normal(0.0, 1.5, on.shape)
         return np.clip(np.rint(110.0 + self.contrast * np.where(on, roof, ground) + noise), 0, 255).astype(np.uint8)
-
-    def _texture(self, rng: np.random.Generator) -> NDArray[np.float32]:
-        if self.stripe_m:
-            x = np.arange(SIZE) * TEXEL_M
-            return np.asarray(np.tile(40.0 * np.sin(2.0 * np.pi * x / self.stripe_m), (SIZE, 1)), np.float32)
-        noise = rng.normal(0.0, 1.0, (SIZE, SIZE)).astype(np.float32)
-        fine, coarse = (cv2.GaussianBlur(noise, (0, 0), s) for s in (2.0, 8.0))
-        return np.asarray(20.0 * fine / fine.std() + 15.0 * coarse / coarse.std(), np.float32)
 
     def kept(self, number: int) -> Kept:
         """A picture with its set."""
@@ -109,6 +101,22 @@ class World:
             plane_per_m=plane, plane_sigma_relative=0.02, roughness=0.005, uv_px=uv, inverse_depth_per_m=w,
             sigma_inverse_depth_per_m=np.full(len(uv), self.feature_sigma) * w,
         )  # fmt: skip
+
+
+@lru_cache(maxsize=4)
+def textures(seed: int, stripe_m: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Of the ground and of the roof, the same in all pictures of a world."""
+    rng = np.random.default_rng([seed, 7])
+
+    def texture() -> NDArray[np.float32]:
+        if stripe_m:
+            x = np.arange(SIZE) * TEXEL_M
+            return np.asarray(np.tile(40.0 * np.sin(2.0 * np.pi * x / stripe_m), (SIZE, 1)), np.float32)
+        noise = rng.normal(0.0, 1.0, (SIZE, SIZE)).astype(np.float32)
+        fine, coarse = (cv2.GaussianBlur(noise, (0, 0), s) for s in (2.0, 8.0))
+        return np.asarray(20.0 * fine / fine.std() + 15.0 * coarse / coarse.std(), np.float32)
+
+    return texture(), texture()
 
 
 @lru_cache(maxsize=128)

@@ -335,7 +335,7 @@ def replayed(
 ) -> tuple[list[tuple[float, NavState | Status]], Array]:
     """State at every n-th row of the truth between two moments of the flight, asked as the data come in, and these."""
     config = parse_config(settings)
-    log = recorded(shared_data / "sitl" / f"{name}.tlog")
+    log = recorded(shared_data / "sitl" / f"{name}.tlog", 0.45 if seconds == FIRST else 1.0)
     truth = np.genfromtxt(shared_data / "sitl" / f"{name}.truth.csv", delimiter=",", skip_header=1)
     truth = truth[truth[:, 3] > 180.0]
     since_s = truth[:, 0] - truth[0, 0]

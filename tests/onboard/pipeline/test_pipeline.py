@@ -88,7 +88,7 @@ def outputs(pipeline: Pipeline, events: list[Event]) -> Iterator[FeatureSet]:
     yield from pipeline.finish()
 
 
-BRISK = replace(SPEC, seconds=5.5, rate_hz=12.0)  # several pictures between two keyframes
+BRISK = replace(SPEC, seconds=4.5, rate_hz=12.0)  # several pictures between two keyframes
 
 
 @pytest.fixture(scope="module")

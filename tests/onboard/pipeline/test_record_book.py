@@ -95,7 +95,7 @@ def test_the_newest_set_is_never_older_than_the_link_asks(slow_link: Session) ->
                 newest_ns = max(newest_ns, s.capture_unix_ns)
         if newest_ns and isinstance(event, Frame):
             ages_s.append((event.stamp_ns - newest_ns) / 1e9)
-    assert len(ages_s) > 40
+    assert len(ages_s) > 30
     assert 0.1 < max(ages_s) < INTERVAL_NS / 1e9 + 0.35
 
 

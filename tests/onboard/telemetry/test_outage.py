@@ -24,7 +24,7 @@ PERIOD = SECOND // 2
 
 def statuses(folder: Path, keep: Callable[[NavEvent], bool]) -> list[tuple[float, Status]]:
     """Seconds since the GPS was switched off, and what became of an empty picture then: FEATURELESS if all was well."""
-    log = recorded(folder / "sitl" / "plane_gps_outage.tlog")
+    log = recorded(folder / "sitl" / "plane_gps_outage.tlog", 0.6)  # of 506 s, 300
     off_ns = events_ns(folder)[0]
     pipeline = Pipeline(Config(), Camera.from_field_of_view(64, 48, 40.0))
     blank = np.full((48, 64), 128, np.uint8)

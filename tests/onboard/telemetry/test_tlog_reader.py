@@ -237,7 +237,7 @@ def test_a_log_without_positions_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "positions", "attitudes"),
     [
-        ("sitl/plane_clean.tlog", (4700, 4729), (23600, 23624)),
+        pytest.param("sitl/plane_clean.tlog", (4700, 4729), (23600, 23624), marks=pytest.mark.long),
         ("cmac_2018/telemetry.tlog", (670, 676), (600, 604)),
     ],
 )
