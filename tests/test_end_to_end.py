@@ -2,7 +2,6 @@
 
 import csv
 import json
-import os
 import re
 import shutil
 import signal
@@ -20,7 +19,6 @@ import pytest
 
 from contract.geodesy import LocalFrame
 from ground.recording import Recording
-from onboard.__main__ import main as onboard
 from simulation.flight import RecordedSpec
 from simulation.session import SessionSpec
 from simulation.terrain import TerrainSpec
@@ -241,72 +239,6 @@ def test_a_live_cold_click_takes_under_a_second(endpoint: str) -> None:
         assert run("ground", "click", 320, 240, "--frame", 20, "--connect", endpoint).returncode == 0
         times.append(time.monotonic() - began)
     assert min(times) < 1.0
-
-
-def missing_frames(flight: Path, spoilt: Path) -> dict[str, object]:
-    return {"frames": spoilt / "nothing"}
-
-
-def missing_log(flight: Path, spoilt: Path) -> dict[str, object]:
-    return {"telemetry": spoilt / "nothing.tlog"}
-
-
-def wrong_size(flight: Path, spoilt: Path) -> dict[str, object]:
-    camera = json.loads((flight / "camera.json").read_text())
-    camera["size_px"] = [320, 240]
-    (spoilt / "camera.json").write_text(json.dumps(camera))
-    return {"camera": spoilt / "camera.json"}
-
-
-def no_overlap(flight: Path, spoilt: Path) -> dict[str, object]:
-    rows = list(csv.DictReader((flight / "stamps.csv").open()))
-    lines = [f"{r['file']},{float(r['unix_time_s']) - 86400.0}" for r in rows]
-    (spoilt / "stamps.csv").write_text("\n".join(["file,unix_time_s", *lines]))
-    return {"stamps": spoilt / "stamps.csv"}
-
-
-def unknown_key(flight: Path, spoilt: Path) -> dict[str, object]:
-    (spoilt / "config.toml").write_text('[solve]\natitude = "none"\n')
-    return {"config": spoilt / "config.toml"}
-
-
-def broken_picture(flight: Path, spoilt: Path) -> dict[str, object]:
-    shutil.copytree(flight / "frames", spoilt / "frames")
-    picture = sorted((spoilt / "frames").iterdir())[30]
-    picture.write_bytes(picture.read_bytes()[:2000])
-    return {"frames": spoilt / "frames"}
-
-
-@pytest.mark.parametrize(
-    ("spoil", "reason"),
-    [
-        (missing_frames, "nothing"),
-        (missing_log, "nothing.tlog"),
-        (wrong_size, "640 x 480"),
-        (no_overlap, "do not overlap"),
-        (unknown_key, "did you mean 'solve.attitude'?"),
-        (broken_picture, "cannot be decoded"),
-    ],
-)
-def test_bad_input_is_one_line_exit_2_and_nothing_half_written(
-    flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], spoil: Any, reason: str
-) -> None:
-    spoilt, out = tmp_path / "in", tmp_path / "out"
-    spoilt.mkdir()
-    out.mkdir()
-    changed = spoil(flight, spoilt)
-    arguments = replay_arguments(flight, out=out / "session.mcap", **changed)
-    if spoil is missing_log:  # of a process, once: the others are refused by the same `main`
-        done = run("onboard", *arguments)
-        code, printed, complaint = done.returncode, done.stdout, done.stderr
-    else:
-        code = onboard(arguments)
-        printed, complaint = capsys.readouterr()
-    assert (code, printed) == (2, "")
-    assert complaint.startswith("pc-onboard: error: ")
-    assert complaint.count("\n") == 1
-    assert reason in complaint
-    assert os.listdir(out) == []  # noqa: PTH208  hidden files too
 
 
 def clicks_in(text: str) -> dict[str, list[float]]:

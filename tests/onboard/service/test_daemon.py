@@ -11,12 +11,10 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from contract.camera import UNKNOWN_SIGMA
 from contract.errors import ConfigError, InputError
 from contract.feature_set import FeatureSet
 from ground.recording import Recording
@@ -384,28 +382,6 @@ def test_a_flight_gives_answers_a_recording_and_what_was_learned(tmp_path: Path)
         found = kept.by_frame("uav", frame)
         assert found is not None
         assert (found.revision, found.status) == (output.revision, output.status)
-
-
-@pytest.mark.long
-def test_the_live_session_replays_to_the_same_sets(tmp_path: Path) -> None:
-    """What the pipeline's thread saw, in its order, is all that matters: a fresh pipeline without threads agrees.
-
-    Byte for byte, by the program: test_replayed.
-    """
-    air = take_off(tmp_path, seconds=12.0)
-    assert air.received is not None
-    table = {"mount": {"roll_deg": 0.0, "pitch_deg": -90.0, "yaw_deg": 0.0}}
-    settings = Config().model_dump()
-    settings["mount"].update(table["mount"])
-    settings["solve"].update({"attitude": "autopilot", "velocity": True, "level_ground": False})
-    again = Pipeline(Config.model_validate(settings), replace(CAMERA, stated_sigma=UNKNOWN_SIGMA))  # as filed
-    sets = [output for event in air.received.events for output in again.handle(event)] + again.finish()
-    live = [output for _, output in air.received.sets]
-    assert [(s.frame, s.revision, s.status) for s in sets] == [(s.frame, s.revision, s.status) for s in live]
-    for a, b in zip(sets, live, strict=True):
-        assert (a.camera_lat_deg, a.camera_height_m) == (b.camera_lat_deg, b.camera_height_m)
-        assert a.inverse_depth_per_m.tobytes() == b.inverse_depth_per_m.tobytes()
-    assert len(sets) > 60
 
 
 def test_pictures_are_shed_oldest_first_when_the_processor_is_starved(tmp_path: Path) -> None:

@@ -13,7 +13,6 @@ from contract.geodesy import LocalFrame
 from contract.locate import Locator
 from contract.rotations import exp_so3
 from ground.two_sets import position_jacobian
-from onboard.config.schema import Config
 from onboard.config.second_camera import SecondCamera
 from onboard.spots.bracketed import Bracketed, BracketedPictures
 from onboard.spots.second_camera import STATES, Mount, Pointing, _transport, pixel_of_first, set_of_second
@@ -209,7 +208,3 @@ def test_how_evenly_the_camera_moves_is_judged_by_its_own_poses() -> None:
     angular, linear = accelerations(TURN)
     assert angular < 1e-2
     assert linear == pytest.approx(14.0 * 0.15 / np.sqrt(3.0), rel=0.05)
-
-
-def test_a_configuration_without_a_second_camera_has_none() -> None:
-    assert not Config().camera.thermal.is_live and not Config().camera.thermal.is_stated

@@ -307,12 +307,6 @@ def test_gps_time_becomes_unix_time_with_the_leap_seconds_of_its_day() -> None:
     assert unix_ns_of_gps(1854, 0) == (1_437_264_000 - 17) * 10**9
 
 
-def test_the_simulator_s_truth_in_a_dataflash_log_is_no_input(tmp_path: Path) -> None:
-    path = written(tmp_path, "bin")
-    assert b"SIM\0" in path.read_bytes()
-    assert all(abs(fix.lat_deg - LAT) < 0.01 for fix in of(read_log(path), PositionFix))
-
-
 def test_gimbal_range_and_lost_fix_of_a_dataflash_log(tmp_path: Path) -> None:
     log = dataflash_log(gimbal=True)
     for i in range(10):  # the receiver's time stands still
