@@ -26,6 +26,13 @@ def test_a_pixels_ray_projects_back_to_it(u: float, v: float) -> None:
         np.testing.assert_allclose(uv, (u, v), atol=1e-6)
 
 
+def test_a_camera_of_a_field_of_view_looks_through_its_middle_and_as_wide_as_asked() -> None:
+    camera = Camera.from_field_of_view(640, 480, 40.0)
+    assert (camera.cx_px, camera.cy_px) == (319.5, 239.5)
+    edges = camera.unproject(np.array([[-0.5, 239.5], [639.5, 239.5]]))[0]
+    assert np.degrees(np.arctan(edges[:, 0])) == pytest.approx([-20.0, 20.0])
+
+
 @given(st.lists(st.tuples(st.floats(-0.5, 0.5), st.floats(-0.4, 0.4)), min_size=1, max_size=20))
 def test_projection_is_opencvs(xy: list[tuple[float, float]]) -> None:
     points = np.array([[x * 5.0, y * 5.0, 5.0] for x, y in xy])
