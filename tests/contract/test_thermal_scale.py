@@ -20,11 +20,7 @@ def test_what_is_beyond_the_counts_is_at_their_end() -> None:
     np.testing.assert_array_equal(LEPTON.counts([-5.0, 9000.0]), [0, 65535])
 
 
-@given(
-    scale=st.sampled_from([0.01, 0.1, 1 / 64, 0.04]),
-    offset=st.floats(-300.0, 300.0),
-    count=st.integers(0, 65535),
-)
+@given(scale=st.sampled_from([0.01, 0.1, 1 / 64, 0.04]), offset=st.floats(-300.0, 300.0), count=st.integers(0, 65535))
 def test_counts_come_back_from_their_temperature(scale: float, offset: float, count: int) -> None:
     thermal = ThermalScale(scale, offset)
     assert thermal.counts(scale * count + offset) == count

@@ -66,8 +66,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize(
-    "error",
-    [LinkError("no route"), zenoh.ZError("no route"), RuntimeError("no route"), MemoryError("no route")],
+    "error", [LinkError("no route"), zenoh.ZError("no route"), RuntimeError("no route"), MemoryError("no route")]
 )
 def test_failed_attempts_do_not_end_the_renewal_and_are_reported_until_one_goes_well(
     monkeypatch: pytest.MonkeyPatch, error: Exception

@@ -128,10 +128,7 @@ def with_yaw_zero(events: Iterator[Event], zero_deg: float, drift_deg_s: float) 
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    ("zero_deg", "drift_deg_s", "sigma_deg"),
-    [(-45.0, 0.5, 45.0), (12.0, 0.0, 15.0)],
-)
+@pytest.mark.parametrize(("zero_deg", "drift_deg_s", "sigma_deg"), [(-45.0, 0.5, 45.0), (12.0, 0.0, 15.0)])
 def test_a_yaw_whose_zero_is_off_and_drifts_is_found_by_each_window(
     zero_deg: float, drift_deg_s: float, sigma_deg: float
 ) -> None:

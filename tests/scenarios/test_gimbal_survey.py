@@ -123,8 +123,7 @@ def test_trials_in_a_thread_give_the_same_bytes() -> None:
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("wobble_deg", "pitch_off"),
-    [(4.0, 4.0), (1.5, 0.0), (1.5, 4.0), (1.5, 8.0), (4.0, 0.0), (4.0, 8.0)],
+    ("wobble_deg", "pitch_off"), [(4.0, 4.0), (1.5, 0.0), (1.5, 4.0), (1.5, 8.0), (4.0, 0.0), (4.0, 8.0)]
 )
 def test_a_gimbal_that_is_not_there_is_never_accepted(wobble_deg: float, pitch_off: float) -> None:
     """A fixed camera, whose mount may be declared some degrees wrong, and a gimbal's messages of always level."""

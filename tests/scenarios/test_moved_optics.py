@@ -192,8 +192,7 @@ UNSTATED = replace(LENS, stated_sigma=UNKNOWN_SIGMA)
 
 @pytest.mark.long  # short: test_a_fast_zoom..., and windows: onboard/estimation/test_moved_optics.py
 @pytest.mark.parametrize(
-    ("path", "zoom", "file"),
-    [(*STAYS, LENS), (*STAYS, UNSTATED), (*COMES_BACK, LENS), (*COMES_BACK, UNSTATED)],
+    ("path", "zoom", "file"), [(*STAYS, LENS), (*STAYS, UNSTATED), (*COMES_BACK, LENS), (*COMES_BACK, UNSTATED)]
 )
 def test_a_zoom_is_refused_while_it_lasts_and_answered_rightly_afterwards(
     path: PathSpec, zoom: tuple[float, float, float, float], file: Camera

@@ -275,7 +275,7 @@ def test_boards_in_the_middle_only_are_never_good_and_leave_a_ray_at_every_pixel
 
 def test_every_model_is_its_parameters() -> None:
     assert [model.name for model in MODELS] == [
-        *("none", "p1 p2", "k1", "k1 p1 p2", "k1 k2", "k1 k2 p1 p2", "k1 k2 k3", "k1 k2 k3 p1 p2"),
+        *("none", "p1 p2", "k1", "k1 p1 p2", "k1 k2", "k1 k2 p1 p2", "k1 k2 k3", "k1 k2 k3 p1 p2")
     ]
     for model in MODELS:
         free = {model.parameters[column] for column in model.columns} - {"fx", "fy", "cx", "cy"}

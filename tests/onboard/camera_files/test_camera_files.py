@@ -143,10 +143,7 @@ REFUSED = {
     "colmap count": (COLMAP.replace(" 0 0 0\n", "\n"), "FULL_OPENCV has 11 values and not 14"),
     "metashape fisheye": (METASHAPE.replace(">frame<", ">fisheye<"), "fisheye's model"),
     "metashape old": (METASHAPE.replace("<f>", "<fx>3100</fx><f>"), "PhotoScan before 1.2"),
-    "metashape two": (
-        TWO_SENSORS,
-        "holds 2 cameras, 'M3M', 'M3M 1': choose",
-    ),
+    "metashape two": (TWO_SENSORS, "holds 2 cameras, 'M3M', 'M3M 1': choose"),
     "metashape guess": (TWO_SENSORS.replace("adjusted", "initial"), "has no adjusted calibration"),
     "metashape doctype": ('<!DOCTYPE a [<!ENTITY b "c">]>' + METASHAPE.split("?>")[1], "document type"),
     "pix4d size": (PIX4D, "states no picture size"),

@@ -1,5 +1,7 @@
 """The profile over time offsets: rejects one that is far off, never the right one, and is wide where nothing shows."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -16,18 +18,26 @@ SIGMA_RAD = np.radians([0.5, 3.0, 3.0])  # as declared
 TURNS = tuple((1.0 + 6.0 * k, (-1) ** k * 40.0) for k in range(3))  # begins at, bank in degrees
 MOUNT_DEG, COMPASS_DEG = (2.0, 1.5, -1.0), 3.0  # off by
 ROLL_S, HELD_S = 1.2, 3.0
+STEP_OF_TURNS_S = 0.01
 
 
 def attitude(t: float, turns: tuple[tuple[float, float], ...], wobble_deg: float = 0.0) -> Array:
     """R_enu_body in coordinated turns: rolls in, holds the bank, rolls out; or wobbles at 2 Hz."""
-    times = np.arange(-2.0, t, 0.01)
+    bank, heading = turned(turns)
+    last = int(np.ceil((t + 2.0) / STEP_OF_TURNS_S)) - 1
+    wobble = np.radians(wobble_deg) * np.sin(4.0 * np.pi * t)
+    return R_ENU_NED @ matrix_from_euler(float(bank[last]) + wobble, 0.0, float(heading[last]))
+
+
+@cache
+def turned(turns: tuple[tuple[float, float], ...]) -> tuple[Array, Array]:
+    """Bank and heading (rad) at every hundredth of a second from -2 s on."""
+    times = np.arange(-2.0, 40.0, STEP_OF_TURNS_S)
     bank = np.zeros(len(times))
     for begin, degrees in turns:
         rise, fall = (np.clip((times - s) / ROLL_S, 0.0, 1.0) for s in (begin, begin + HELD_S))
         bank += np.radians(degrees) * (rise**2 * (3 - 2 * rise) - fall**2 * (3 - 2 * fall))
-    heading = float(np.sum(G * np.tan(bank) / SPEED_M_S) * 0.01)
-    wobble = np.radians(wobble_deg) * np.sin(4.0 * np.pi * t)
-    return R_ENU_NED @ matrix_from_euler(float(bank[-1]) + wobble, 0.0, heading)
+    return bank, np.cumsum(G * np.tan(bank) / SPEED_M_S) * STEP_OF_TURNS_S
 
 
 def profile(

@@ -65,10 +65,7 @@ def watched(monkeypatch: pytest.MonkeyPatch) -> Iterator[Watched]:
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("sensors", "seed"),
-    [
-        pytest.param({}, 0, id="full"),
-        pytest.param({"attitude": "none", "velocity": False}, 1, id="gps"),
-    ],
+    [pytest.param({}, 0, id="full"), pytest.param({"attitude": "none", "velocity": False}, 1, id="gps")],
 )
 def test_where_errors_are_as_declared_nothing_is_widened(
     watched: Watched, sensors: dict[str, object], seed: int

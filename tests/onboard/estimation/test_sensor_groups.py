@@ -19,14 +19,7 @@ from onboard.estimation.factors import (
     whitener_of,
 )
 from onboard.estimation.platform_states import STATES
-from onboard.estimation.sensor_groups import (
-    FADING_S,
-    Failing,
-    Innovation,
-    contradictions,
-    failing_groups,
-    innovations,
-)
+from onboard.estimation.sensor_groups import FADING_S, Failing, Innovation, contradictions, failing_groups, innovations
 from onboard.estimation.sensor_table import HEADING, POSITION, SENSORS, TILT, VELOCITY
 from onboard.navigation.limits import FALSE_ALARM
 

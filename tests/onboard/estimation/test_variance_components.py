@@ -21,13 +21,7 @@ from onboard.estimation.factors import (
 )
 from onboard.estimation.platform_states import STATES
 from onboard.estimation.sensor_table import BY_NAME, CLAIMED, HEADING, PARTS, POSITION, TILT, VELOCITY
-from onboard.estimation.variance_components import (
-    MEMORY_S,
-    PRIOR_COUNT,
-    Evidence,
-    VarianceFactors,
-    evidence_of,
-)
+from onboard.estimation.variance_components import MEMORY_S, PRIOR_COUNT, Evidence, VarianceFactors, evidence_of
 
 Array = NDArray[np.float64]
 K = 10

@@ -3,6 +3,7 @@
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,7 @@ from contract.geodesy import LocalFrame
 from contract.rotations import exp_so3, mount_rotation
 from onboard.config.schema import parse_config
 from onboard.foreign_clock.clock_search import Evidence
-from onboard.foreign_clock.log_track import log_track
+from onboard.foreign_clock.log_track import LogTrack, log_track
 from onboard.foreign_clock.motion_cost import MotionNoise
 from onboard.foreign_clock.picture_pairs import Pairs
 from onboard.telemetry.tlog_reader import read_tlog
@@ -34,6 +35,13 @@ class Camera:
     focal: float = 0.02
 
 
+@cache
+def recorded(recording: str) -> tuple[LogTrack, RecordedTruth]:
+    """What is known by the log of a recording, and its truth."""
+    log_path, truth_path = find_recording(recording)
+    return log_track(read_tlog(log_path), CONFIG), RecordedTruth.read(truth_path)
+
+
 def evidence(
     recording: str,
     taken_s: Array,
@@ -44,8 +52,7 @@ def evidence(
     jitter_s: float = 0.0,
 ) -> Evidence:
     """Pictures at these seconds of a recording, by a clock that is ahead of the log's; `jitter_s` of each stamp."""
-    log_path, truth_path = find_recording(recording)
-    truth = RecordedTruth.read(truth_path)
+    track, truth = recorded(recording)
     epoch_s = float(truth.unix_time_s[0])
     origin = LocalFrame(float(truth.lat_deg[0]), float(truth.lon_deg[0]), 100.0)
     trajectory = truth.trajectory(origin, epoch_s, 0.0)
@@ -64,7 +71,7 @@ def evidence(
         *(np.array([each[i] for each in found]).reshape(-1, 4, 2) for i in (1, 2)),
     )
     shots_ns = [round((epoch_s + t) * 1e9) for t in shots_s]
-    return Evidence(log_track(read_tlog(log_path), CONFIG), stamps_ns, 0.03, pairs, [NOISE], shots_ns, 0.1)
+    return Evidence(track, stamps_ns, 0.03, pairs, [NOISE], shots_ns, 0.1)
 
 
 def _seen(first: Pose, second: Pose, camera: Camera, rng: np.random.Generator) -> tuple[Array, Array] | None:

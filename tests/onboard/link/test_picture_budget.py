@@ -34,13 +34,7 @@ def others(sent: list[Sent]) -> list[tuple[float, Kind, float, str]]:
 @settings(deadline=None, max_examples=10)
 @given(piece=st.integers(100, 1250), **MIXTURES)
 def test_everything_else_goes_out_at_the_same_moments_with_pictures_as_without(
-    piece: int,
-    max_bit_rate: float,
-    set_bytes: int,
-    status_bytes: int,
-    replies_hz: float,
-    rate_hz: float,
-    grounds: int,
+    piece: int, max_bit_rate: float, set_bytes: int, status_bytes: int, replies_hz: float, rate_hz: float, grounds: int
 ) -> None:
     mixture = (max_bit_rate, set_bytes, status_bytes, replies_hz, rate_hz, grounds)
     assert others(simulated(*mixture, piece)) == others(simulated(*mixture, 0))

@@ -274,9 +274,7 @@ def test_a_new_session_puts_the_old_ones_sets_away() -> None:
 
 
 @given(st.lists(st.tuples(st.integers(0, 300), st.integers(0, 3), st.booleans(), st.booleans()), max_size=150))
-def test_any_order_of_offers_is_survived_and_memory_stays_bounded(
-    offers: list[tuple[int, int, bool, bool]],
-) -> None:
+def test_any_order_of_offers_is_survived_and_memory_stays_bounded(offers: list[tuple[int, int, bool, bool]]) -> None:
     selection: Selection[str] = Selection()
     now_s = 0.0
     for count, (frame, revision, is_ok, is_keyframe) in enumerate(offers):

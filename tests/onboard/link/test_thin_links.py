@@ -88,11 +88,7 @@ def ages(cache: SetCache, seconds: float) -> list[float]:
 @contextmanager
 def simulated(kind: str, bit_rate: float = 1e9, loss: float = 0.0) -> Iterator[tuple[ThinLink, SetCache]]:
     target = free_endpoint().replace("tcp/", f"{kind}/")
-    with (
-        Flight(target),
-        ThinLink(target, bit_rate=bit_rate, loss=loss) as link,
-        SetCache(link.endpoint) as cache,
-    ):
+    with Flight(target), ThinLink(target, bit_rate=bit_rate, loss=loss) as link, SetCache(link.endpoint) as cache:
         assert until(lambda: picture_age_s(cache) < 1.0, OPEN_S) < OPEN_S
         yield link, cache
 

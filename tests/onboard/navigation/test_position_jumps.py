@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from _pytest.mark import ParameterSet
 from numpy.typing import NDArray
 
 from benchmarks.autopilots import ground_amsl_m, recording
@@ -64,7 +63,7 @@ def accepted(
     ("name", "begin_s"),
     [
         ("plane_rough", 10.0),
-        ("plane_rough", 15.0),
+        pytest.param("plane_rough", 15.0, marks=pytest.mark.long),
         pytest.param("plane_rough", 30.0, marks=pytest.mark.long),
         ("qp_transition", 0.0),  # on the ground its filter held a place 4 m from its receiver's, and came to that
     ],
@@ -78,28 +77,36 @@ def test_a_filter_that_is_shaken_is_not_doubted_for_long(shared_data: Path, name
     assert ratios.max() < 2.0
 
 
-def fault(name: str, sensor: str, seconds: float, size: float, *, long: bool = False) -> ParameterSet:
-    """One that begins in flight."""
-    return pytest.param(Disturbance(sensor, FAULT_S, seconds, size), id=name, marks=[pytest.mark.long] if long else [])
+FAULTS = {
+    "jump of 5 m that stays": Disturbance(POSITION, FAULT_S, FOR_GOOD, 5.0),
+    "jump of 8 m that stays": Disturbance(POSITION, FAULT_S, FOR_GOOD, 8.0),
+    "jump of 20 m that stays": Disturbance(POSITION, FAULT_S, FOR_GOOD, 20.0),
+    "jump of 40 m that stays": Disturbance(POSITION, FAULT_S, FOR_GOOD, 40.0),
+    "jump of 8 m and back": Disturbance(POSITION, FAULT_S, 20.0, 8.0),
+    "jump of 20 m and back": Disturbance(POSITION, FAULT_S, 20.0, 20.0),
+    "drag by 30 m and back": Disturbance(DRAG, FAULT_S, 20.0, 1.5),
+    "drag by 60 m and back": Disturbance(DRAG, FAULT_S, 40.0, 1.5),
+}
+SHORT = {
+    ("plane_rough", "the receiver's", "jump of 8 m that stays"),
+    ("plane_rough", "the filter's alone", "drag by 30 m and back"),
+}
 
 
-@pytest.mark.parametrize("name", ["plane_rough", pytest.param("plane_clean", marks=pytest.mark.long)])
-@pytest.mark.parametrize("of_filter", [False, True], ids=["the receiver's", "the filter's alone"])
 @pytest.mark.parametrize(
-    "disturbance",
+    ("name", "of_filter", "disturbance"),
     [
-        fault("jump of 5 m that stays", POSITION, FOR_GOOD, 5.0, long=True),
-        fault("jump of 8 m that stays", POSITION, FOR_GOOD, 8.0),
-        fault("jump of 20 m that stays", POSITION, FOR_GOOD, 20.0, long=True),
-        fault("jump of 40 m that stays", POSITION, FOR_GOOD, 40.0, long=True),
-        fault("jump of 8 m and back", POSITION, 20.0, 8.0, long=True),
-        fault("jump of 20 m and back", POSITION, 20.0, 20.0, long=True),
-        fault("drag by 30 m and back", DRAG, 20.0, 1.5),
-        fault("drag by 60 m and back", DRAG, 40.0, 1.5, long=True),
+        pytest.param(
+            name, whose != "the receiver's", FAULTS[fault], id=f"{fault}-{whose}-{name}",
+            marks=[] if (name, whose, fault) in SHORT else pytest.mark.long,
+        )
+        for fault in FAULTS
+        for whose in ("the receiver's", "the filter's alone")
+        for name in ("plane_rough", "plane_clean")
     ],
-)
+)  # fmt: skip
 def test_a_position_that_jumped_is_held_in_the_sigma(
-    shared_data: Path, name: str, disturbance: Disturbance, of_filter: bool
+    shared_data: Path, name: str, of_filter: bool, disturbance: Disturbance
 ) -> None:
     """Before: drags accepted 5.6 circles off (their jump back undid the doubt of the time before), jumps 2.5."""
     sigmas, ratios = accepted(shared_data / "sitl" / name, (disturbance,), of_filter=of_filter)

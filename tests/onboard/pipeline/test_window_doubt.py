@@ -84,15 +84,7 @@ def test_windows_that_fit_are_never_denied_before_any_was_stabilised() -> None:
 def test_one_that_fits_among_stabilised_ones_is_denied_and_the_second_in_a_row_ends_the_doubt() -> None:
     assert denied(
         Status.STABILISED, Status.OK, Status.STABILISED, Status.OK, Status.OK, Status.POOR_FIT, Status.OK
-    ) == [
-        False,
-        True,
-        False,
-        True,
-        False,
-        False,
-        False,
-    ]
+    ) == [False, True, False, True, False, False, False]
 
 
 def test_what_says_nothing_does_not_count_as_agreement() -> None:

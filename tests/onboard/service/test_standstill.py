@@ -27,9 +27,7 @@ FIGURES = {"rate_hz": 10.0, "attitude_hz": 10.0, "position_hz": 10.0, "round_tri
 
 
 def fix(
-    stamp_ns: int,
-    velocity: tuple[float, float, float] | None = (0.05, 0.0, 0.05),
-    height_m: float | None = 0.3,
+    stamp_ns: int, velocity: tuple[float, float, float] | None = (0.05, 0.0, 0.05), height_m: float | None = 0.3
 ) -> PositionFix:
     return PositionFix(stamp_ns, -35.0, 149.0, 600.0, velocity, height_m)
 

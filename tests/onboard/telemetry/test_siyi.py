@@ -19,15 +19,7 @@ from onboard.events.session_clock import SessionClock
 from onboard.events.source import SourceStatus, State
 from onboard.events.types import GimbalAttitude, Zoom
 from onboard.telemetry.factory import open_telemetry
-from onboard.telemetry.siyi_protocol import (
-    ATTITUDE,
-    ZOOM,
-    Packet,
-    PacketReader,
-    attitude_deg,
-    encode,
-    zoom_times,
-)
+from onboard.telemetry.siyi_protocol import ATTITUDE, ZOOM, Packet, PacketReader, attitude_deg, encode, zoom_times
 from onboard.telemetry.siyi_source import SiyiAnswers, SiyiGimbal, WithGimbal, siyi_address
 from tests.onboard.link.ports import free_udp_port
 from tests.onboard.telemetry.listening import Listening

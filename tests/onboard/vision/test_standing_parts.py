@@ -35,7 +35,7 @@ def passing(ground: NDArray[np.float32], step_px: Sequence[float], count: int, s
     at, step = 0.5 * room, np.array(step_px, float)
     for _ in range(count):
         shift = np.array([[1.0, 0.0, -at[0]], [0.0, 1.0, -at[1]]])
-        seen = cv2.warpAffine(ground, shift, SIZE_PX) + rng.normal(0.0, 2.0, (height, width))
+        seen = cv2.warpAffine(ground, shift, SIZE_PX) + 2.0 * rng.standard_normal((height, width), np.float32)
         yield np.clip(seen, 0, 255).astype(np.uint8)
         outside = (at + step < 0.0) | (at + step > room)
         step[outside] *= -1.0
