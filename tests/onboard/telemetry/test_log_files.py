@@ -6,6 +6,7 @@ import random
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -92,6 +93,11 @@ PAUSE_S = 600.0
 ALL = pytest.mark.parametrize("kind", KINDS)
 
 
+@cache
+def content(kind: str) -> bytes:
+    return WRITERS[kind]()
+
+
 def of(log: TelemetryLog, kind: type[NavEvent]) -> list:
     return [event for event in log.events if isinstance(event, kind)]
 
@@ -99,7 +105,9 @@ def of(log: TelemetryLog, kind: type[NavEvent]) -> list:
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, TelemetryLog]:
     folder = tmp_path_factory.mktemp("logs")
-    return {kind: read_log(written(folder, kind), KINDS[kind].options) for kind in KINDS}
+    for kind in KINDS:
+        (folder / f"flight.{kind}").write_bytes(content(kind))
+    return {kind: read_log(folder / f"flight.{kind}", KINDS[kind].options) for kind in KINDS}
 
 
 @ALL
@@ -172,7 +180,8 @@ def test_it_arrives_in_order_and_stamps_of_a_kind_never_run_backwards(logs: dict
 
 @ALL
 def test_a_log_is_known_by_what_it_holds_and_not_by_its_name(tmp_path: Path, kind: str) -> None:
-    path = written(tmp_path, kind, "log.dat")
+    path = tmp_path / "log.dat"
+    path.write_bytes(content(kind))
     assert len(of(read_log(path, KINDS[kind].options), PositionFix)) > 100
 
 
@@ -203,7 +212,7 @@ def test_a_log_that_pauses_claims_nothing_meanwhile(tmp_path: Path, kind: str, m
 @ALL
 def test_zeros_in_a_log_cost_only_themselves(tmp_path: Path, kind: str) -> None:
     """The zeros of a card that was pulled out."""
-    data = bytearray(WRITERS[kind]())
+    data = bytearray(content(kind))
     at = 2 * len(data) // 3
     data[at : at + 200] = bytes(200)
     path = tmp_path / "zeros"
@@ -220,7 +229,7 @@ def test_zeros_in_a_log_cost_only_themselves(tmp_path: Path, kind: str) -> None:
 @ALL
 @pytest.mark.parametrize("share", [0.5, 0.9])
 def test_a_cut_log_gives_what_it_still_holds(tmp_path: Path, kind: str, share: float) -> None:
-    whole = WRITERS[kind]()
+    whole = content(kind)
     path = tmp_path / "cut"
     path.write_bytes(whole[: round(share * len(whole))])
     if kind == "csv":  # a table cut within a line is not what was meant
@@ -235,7 +244,7 @@ def test_a_cut_log_gives_what_it_still_holds(tmp_path: Path, kind: str, share: f
 @ALL
 def test_a_damaged_log_gives_the_rest_or_one_line(tmp_path: Path, kind: str) -> None:
     """Bytes overwritten at random, ten times over: never another exception, never a place that it was not at."""
-    whole, rng, read = WRITERS[kind](), random.Random(3), 0
+    whole, rng, read = content(kind), random.Random(3), 0
     path = tmp_path / "damaged"
     for _ in range(10):
         data = bytearray(whole)
