@@ -20,23 +20,14 @@ from simulation.ordinary import ordinary
 from simulation.paths import PathSpec, fly_path
 from simulation.telemetry import TelemetrySpec, write_tlog
 from simulation.trajectory import Trajectory
+from tests.simulation.test_telemetry import PERFECT
 
 pytestmark = pytest.mark.xdist_group("ordinary")  # one worker: what they share is made once
 
 Array = NDArray[np.float64]
 
 ORIGIN = LocalFrame(-43.38, 172.4, 111.0)
-QUIET = TelemetrySpec(
-    white_horizontal_m=0.0,
-    white_vertical_m=0.0,
-    slow_horizontal_m=0.0,
-    slow_vertical_m=0.0,
-    velocity_m_s=0.0,
-    white_attitude_deg=0.0,
-    slow_attitude_deg=0.0,
-    gps_age_s=0.0,
-    attitude_message="quaternion",
-)
+QUIET = replace(PERFECT, attitude_message="quaternion")
 
 
 @dataclass(frozen=True, eq=False)

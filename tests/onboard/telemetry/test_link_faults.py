@@ -65,30 +65,22 @@ def test_silence_is_lost_in_time_and_a_reboot_starts_the_stamps_again() -> None:
             assert np.max(np.abs(errors_ms(fixes[:-3], true))) < 25.0
 
 
-def test_a_serial_line_is_unplugged_and_comes_back_under_another_name(tmp_path: Path) -> None:
+@pytest.mark.parametrize("line", ["serial", "tcp"])
+def test_a_line_that_is_unplugged_and_comes_back_under_another_name_if_it_has_one_is_found_again(
+    tmp_path: Path, line: str
+) -> None:
+    url = f"pty:{tmp_path / 'FC'}" if line == "serial" else f"tcpin:127.0.0.1:{free_port()}"
     with (
-        FakeAutopilot(FLIGHT, f"pty:{tmp_path / 'FC'}", everything=True) as autopilot,
+        FakeAutopilot(FLIGHT, url, everything=True) as autopilot,
         listening(config_for(autopilot.url)) as received,
     ):
         received.wait(State.OK)
         autopilot.unplug()
         received.wait(State.LOST)
-        received.until(lambda: str(tmp_path) in received.source.health().detail)
+        received.until(lambda: line == "tcp" or str(tmp_path) in received.source.health().detail)
         autopilot.plug()
         received.wait(State.OK)
         assert received.source.health().figures["reopened"] >= 1.0
-
-
-def test_a_tcp_server_that_goes_and_comes_is_found_again() -> None:
-    with (
-        FakeAutopilot(FLIGHT, f"tcpin:127.0.0.1:{free_port()}", everything=True) as autopilot,
-        listening(config_for(autopilot.url)) as received,
-    ):
-        received.wait(State.OK)
-        autopilot.unplug()
-        received.wait(State.LOST)
-        autopilot.plug()
-        received.wait(State.OK)
 
 
 def test_a_device_that_is_not_there_yet_is_waited_for(tmp_path: Path) -> None:
