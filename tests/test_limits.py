@@ -1,13 +1,12 @@
 """A test that hangs ends with its name and its stacks; properties have many examples in a long run."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
 
 from tests.conftest import EXAMPLES, asks_for_long
+from tests.inner_run import inner_run
 from tests.limits import GUEST_S, LONG_S, ORDINARY_S, TESTS, limit_s
 
 HANGS = """
@@ -56,10 +55,7 @@ def test_the_limit_is_by_marker_and_folder(
 
 def test_one_that_hangs_is_named_by_its_worker_and_the_others_run(tmp_path: Path) -> None:
     (tmp_path / "test_hanging.py").write_text(HANGS)
-    done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-n", "1", "-p", "no:cacheprovider"],
-        cwd=tmp_path, capture_output=True, text=True, check=False, timeout=120,
-    )  # fmt: skip
+    done = inner_run("-q", "-n", "1", folder=tmp_path)
     assert "1 passed, 1 failed, 1 error" in done.stdout.replace("1 failed, 1 passed", "1 passed, 1 failed")
     assert "FAILED test_hanging.py::test_that_waits_for_ever - Failed: Timeout" in done.stdout
     assert "ERROR test_hanging.py::test_whose_fixture_waits_for_ever - Failed: Timeout" in done.stdout
@@ -82,10 +78,7 @@ def test_a_property_is_tried_with_more_examples_in_the_long_run(request: pytest.
     is_long = asks_for_long(request.config.option.markexpr)
     if not request.config.getoption("--hypothesis-profile"):
         assert settings().max_examples == EXAMPLES["many" if is_long else "few"]
-    done = subprocess.run(
-        [sys.executable, "-m", "pytest", "tests/contract/test_codec.py", "-m", "long", "-p", "no:cacheprovider",
-         "--hypothesis-show-statistics", "-k", "test_any_bytes_are_a_set_or_a_named_error"],
-        cwd=TESTS.parent, capture_output=True, text=True, check=False, timeout=200,
-    )  # fmt: skip
+    name = "test_any_bytes_are_a_set_or_a_named_error"
+    done = inner_run("tests/contract/test_codec.py", "-m", "long", "--hypothesis-show-statistics", "-k", name)
     assert done.returncode == 0, done.stdout + done.stderr
     assert f"settings.max_examples={EXAMPLES['many']}" in done.stdout

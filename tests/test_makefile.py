@@ -3,7 +3,6 @@
 import os
 import re
 import subprocess
-import sys
 import tomllib
 from functools import cache
 from pathlib import Path
@@ -12,6 +11,7 @@ import pytest
 
 from tests.conftest import may_be_chosen
 from tests.costly_first import COSTLY_FIRST
+from tests.inner_run import inner_run
 
 ROOT = Path(__file__).resolve().parents[1]
 PARALLEL = "-n 3 --dist loadgroup --no-loadscope-reorder --durations=30"
@@ -95,15 +95,8 @@ def test_a_submission_runs_long_tests_bench_and_packages_and_each_may_fail_it(
 )
 def test_the_long_run_chooses_but_where_all_or_some_are_asked_for(words: str, chosen: str) -> None:
     env = {k: v for k, v in os.environ.items() if k not in ("MAKEFLAGS", "MAKEOVERRIDES", "PYTEST_ARGS")}
-    shown = subprocess.run(
-        ["make", "-n", "test-long", *words.split()],
-        env=env,
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=30,
-    ).stdout
+    command = ["make", "-n", "test-long", *words.split()]
+    shown = subprocess.run(command, env=env, cwd=ROOT, capture_output=True, text=True, check=True, timeout=30).stdout
     assert f"export POINTCLICK_LONG={chosen};" in shown
 
 
@@ -117,16 +110,8 @@ FILES = ["tests/contract/test_bits.py", "tests/ground/pins/test_fusion.py"]
 @cache
 def without_long_tests(workers: int) -> str:
     """What a run of these files prints."""
-    done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-n", str(workers), "--dist", "loadgroup", "-m", "not long", "-vv",
-         "-k", "not ninety and not surer_than", *FILES],
-        cwd=ROOT,
-        env={k: v for k, v in os.environ.items() if not k.startswith("PYTEST")},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=120,
-    )  # fmt: skip
+    words = ["-n", str(workers), "--dist", "loadgroup", "-m", "not long", "-vv", "-k", "not ninety and not surer_than"]
+    done = inner_run(*words, *FILES)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 
@@ -189,13 +174,10 @@ def test_each_group_that_begins_early_is_there() -> None:
 
 def test_the_costliest_groups_begin_first() -> None:
     """By the order in which one worker runs them: pytest-xdist hands groups out in that of its first worker."""
-    done = subprocess.run(
-        [sys.executable, "-m", "pytest", "--collect-only", "-m", "not long and not wall_clock",
-         "tests/test_equations.py", "tests/onboard/link/test_publisher.py", "tests/ground/test_router.py"],
-        cwd=ROOT, capture_output=True, text=True, check=False, timeout=120,
-    )  # fmt: skip
-    files = list(dict.fromkeys(re.findall(r"(test_\w+)\.py::", done.stdout)))
-    assert files == ["test_router", "test_publisher", "test_equations"]
+    files = ("tests/test_equations.py", "tests/onboard/link/test_publisher.py", "tests/ground/test_router.py")
+    done = inner_run("--collect-only", "-m", "not long and not wall_clock", *files)
+    collected = list(dict.fromkeys(re.findall(r"(test_\w+)\.py::", done.stdout)))
+    assert collected == ["test_router", "test_publisher", "test_equations"]
 
 
 @pytest.mark.parametrize(
@@ -225,14 +207,6 @@ def test_what_a_group_shares_is_made_by_one_worker(tmp_path: Path) -> None:
         'import pytest\n\n\n@pytest.mark.xdist_group("kept together")\ndef test_it(request):\n'
         '    assert request.node.nodeid.endswith("@kept together")\n'
     )
-    done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-n", "1", "--dist", "loadgroup", "-p", "no:cacheprovider"],
-        cwd=tmp_path,
-        env={k: v for k, v in os.environ.items() if not k.startswith("PYTEST")},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=120,
-    )
+    done = inner_run("-n", "1", "--dist", "loadgroup", folder=tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "1 passed" in done.stdout
