@@ -12,6 +12,7 @@ from contract.feature_set import Status
 
 PERSON_K = 8.0  # above the ground, of a person who is looked for, as the camera sees it: through the air
 PERSON_M2 = 0.25  # large, from above
+PERSON_GRID = 4, 5  # rows and columns of the parts of a picture for which it is stated where that person is found
 LEAST_LIKELY = 0.01
 MOST_SPOTS = 6  # that a packet holds, with room for outlines
 
@@ -111,8 +112,9 @@ class SpotReport:
 
     `picture_share` and `session_share` are shares of the spots' horizontal variance: what all spots of this picture
     have in common, and what (of that) those of the session's other pictures have too. The first does not become less by
-    the picture's other spots, the second not by other pictures of the same spot. `person_found`: the share of the
-    picture's ground on which a person, PERSON_K warmer than it, would be found; None where it is not known.
+    the picture's other spots, the second not by other pictures of the same spot. `person_parts`: of each part of the
+    picture, PERSON_GRID row by row, the share of its ground on which a person, PERSON_K warmer than it, would be found,
+    None of one that shows no ground; empty where it is not known.
     """
 
     session: int
@@ -124,7 +126,13 @@ class SpotReport:
     picture_share: float = 0.0
     session_share: float = 0.0
     vehicle: str = ""
-    person_found: float | None = None
+    person_parts: tuple[float | None, ...] = ()
+
+    @property
+    def person_found(self) -> float | None:
+        """The share of the picture's ground on which a person would be found; None where it is not known."""
+        known = [share for share in self.person_parts if share is not None]
+        return sum(known) / len(known) if known else None
 
     def to_json(self) -> str:
         return json.dumps(
@@ -132,7 +140,8 @@ class SpotReport:
                 "vehicle": self.vehicle or None, "frame": self.frame, "time_utc": time_utc(self.capture_unix_ns),
                 "is_calibrated": self.is_calibrated,
                 "picture_share": rounded(self.picture_share), "session_share": rounded(self.session_share),
-                "person_found": rounded(self.person_found), "more": self.more,
+                "person_found": rounded(self.person_found), "person_parts": [rounded(p) for p in self.person_parts],
+                "more": self.more,
                 "spots": [spot.to_dict() for spot in self.spots],
             }
         )  # fmt: skip

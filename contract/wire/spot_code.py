@@ -9,19 +9,22 @@ from dataclasses import replace
 from contract.answer import Ellipse, Place
 from contract.errors import CorruptPayload, NewerPayload, TruncatedPayload
 from contract.feature_set import Status
-from contract.spot import MOST_SPOTS, Spot, SpotReport, ThingKind
+from contract.spot import MOST_SPOTS, PERSON_GRID, Spot, SpotReport, ThingKind
 from contract.wire.byte_cursor import ByteCursor
 from contract.wire.outlines import fitted
 from contract.wire.small_packet import HEIGHT_STEP_M, first_byte, heights_of
 
 MAJOR, MAX_SPOT_BYTES = 1, 200
 KIND = MAJOR << 4 | 1
-IS_CALIBRATED, HAS_PLACES, HAS_ELLIPSOID, HAS_AMSL, HAS_KINDS, HAS_PERSON = 1, 2, 4, 8, 16, 32
+IS_CALIBRATED, HAS_PLACES, HAS_ELLIPSOID, HAS_AMSL, HAS_KINDS, HAS_PERSON, HAS_PARTS = 1, 2, 4, 8, 16, 32, 64
 IS_COLD, IS_CUT, STATUS_MASK = 0x40, 0x80, 0x3F
 DEGREE, TIME_STEP_NS, PIXEL_STEP, SHARE_STEP = 1e-9, 10_000, 1.0 / 8.0, 1.0 / 255.0
 TEMPERATURE_STEP_C, ANGLE_STEP_DEG = 0.05, 180.0 / 256.0
 OFFSET_STEP_DEG, SPOT_HEIGHT_STEP_M, OUTLINE_STEP_M = 1e-7, 0.1, 0.01
 LOG_ODDS_STEP = 1.0 / 8.0
+PARTS = PERSON_GRID[0] * PERSON_GRID[1]  # an even number: two to a byte
+NO_GROUND = 15
+PART_STEP = 1.0 / (NO_GROUND - 1)
 AREA_SHARE_STEP = 1.0 / 64.0  # of an area's sigma, as a share of the area
 # Lengths, contrasts, differences of temperature and areas in one byte: natural logarithm of a step, and what code 1 is.
 LENGTH, CONTRAST, KELVIN, AREA = (0.055, 0.01), (0.03, 0.5), (0.04, 0.05), (0.08, 0.01)
@@ -44,9 +47,9 @@ def encode_spots(report: SpotReport) -> bytes:
     placed = [spot.place for spot in kept if spot.place is not None]
     has_kinds = any(spot.kind is not None for spot in kept)
     flags = r.is_calibrated * IS_CALIBRATED | bool(placed) * HAS_PLACES | has_kinds * HAS_KINDS
-    flags |= (r.person_found is not None) * HAS_PERSON
+    flags |= bool(r.person_parts) * HAS_PARTS
     try:
-        body = b"" if r.person_found is None else bytes([_share(r.person_found)])
+        body = _parts(r.person_parts)
         if placed:
             first = placed[0]
             flags |= (first.height_ellipsoid_m is not None) * HAS_ELLIPSOID
@@ -78,10 +81,10 @@ def decode_spots(payload: bytes, vehicle: str = "") -> SpotReport:
     if len(payload) < _HEAD.size:
         raise TruncatedPayload(f"{len(payload)} bytes")
     _, flags, session, frame, time, count, more, *shares = _HEAD.unpack_from(payload)
-    if flags > 63 or count > MOST_SPOTS or len(payload) > MAX_SPOT_BYTES:
+    if flags > 127 or count > MOST_SPOTS or len(payload) > MAX_SPOT_BYTES:
         raise CorruptPayload(f"{count} spots with flags {flags:#x} in {len(payload)} bytes")
     cursor = ByteCursor(payload, _HEAD.size, len(payload))
-    person = cursor.take(1)[0] * SHARE_STEP if flags & HAS_PERSON else None
+    person = _read_parts(cursor, flags)
     reference, step = _read_reference(cursor, flags) if flags & HAS_PLACES else (None, 0.0)
     spots = tuple(_read_spot(cursor, flags, reference, step) for _ in range(count))
     if cursor.position != len(payload):
@@ -95,6 +98,24 @@ def decode_spots(payload: bytes, vehicle: str = "") -> SpotReport:
 def _share(share: float) -> int:
     """0 to 255."""
     return round(min(max(share, 0.0), 1.0) / SHARE_STEP)
+
+
+def _parts(shares: tuple[float | None, ...]) -> bytes:
+    """Half a byte for each part of a picture, the first in the low half. Raises ValueError for another number."""
+    if len(shares) not in (0, PARTS):
+        raise ValueError(f"{len(shares)} parts of a picture, not {PARTS}")
+    codes = [NO_GROUND if p is None else round(min(max(p, 0.0), 1.0) / PART_STEP) for p in shares]
+    return bytes(low | high << 4 for low, high in zip(codes[::2], codes[1::2], strict=True))
+
+
+def _read_parts(cursor: ByteCursor, flags: int) -> tuple[float | None, ...]:
+    """Read the shares of a picture's parts; recordings of before have one for all."""
+    if flags & HAS_PERSON:
+        return (cursor.take(1)[0] * SHARE_STEP,) * PARTS
+    if not flags & HAS_PARTS:
+        return ()
+    codes = [code for byte in cursor.take(PARTS // 2) for code in (byte & 15, byte >> 4)]
+    return tuple(None if code == NO_GROUND else code * PART_STEP for code in codes)
 
 
 def _code(value: float, scale: tuple[float, float]) -> int:

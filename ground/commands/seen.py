@@ -29,7 +29,7 @@ from ground.seen.detection import detection
 from ground.seen.export import WRITERS, time_text, write
 from ground.seen.flight_rows import flight_rows, machine_gsd_m, operator_gsd_m
 from ground.seen.missions import FORMATS
-from ground.seen.searched import Searched, area_text, gap_dict, share_text
+from ground.seen.searched import BELOW, Searched, area_text, gap_dict, share_text
 from ground.seen.tally import SeenGround
 
 EXAMPLES = """\
@@ -42,7 +42,6 @@ examples:
 """
 GAPS_LISTED = 5
 REPORT_EVERY_S = 10.0
-BELOW = 0.5  # of a probability: a gap
 OVERLAP, MOST_OVERLAP = 0.3, 0.9
 
 
@@ -96,7 +95,7 @@ def run(args: argparse.Namespace) -> int:
         return REFUSED
     searched = None
     if args.pod:
-        by = detection(seen, shown, reports, woods, look_s=args.look)
+        by = detection(seen.looks(), shown, reports, woods, look_s=args.look)
         searched = Searched.of(by, shown, sectors, args.by, BELOW if args.below is None else args.below)
     if args.json:
         content = to_dict(seen, shown) | ({} if searched is None else {"detection": searched.to_dict()})

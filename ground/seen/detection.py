@@ -1,8 +1,8 @@
 """The probability that a person would have been found in each cell: by the machine, and by an operator who looks.
 
 docs/mathematics-seen.md, (23.5) to (23.12). Looks at one place are not independent: what hides a person in one picture
-hides it in the next. So no product of misses is stated: of the machine what no dependence between looks can undercut,
-of the operator what the best look allows.
+hides it in the next. So no product of misses is stated: of both what the best looks allow, as if one cause hid a person
+in all; of the machine also what no dependence between looks can undercut.
 """
 
 from __future__ import annotations
@@ -15,13 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.errors import InputError
-from contract.spot import PERSON_M2, SpotReport
+from contract.spot import PERSON_GRID, PERSON_M2, SpotReport
 from ground.seen.area import Woods
 from ground.seen.coverage import Coverage
 from ground.seen.outline import cells_inside
 from ground.seen.picture_cells import PictureCells
 from ground.seen.pictures import Key, Look
-from ground.seen.tally import SeenGround
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -59,13 +58,13 @@ class Detection:
 
 @dataclass(frozen=True, eq=False)
 class _Searched:
-    """A picture that was searched: its number among those of its session, the cells in it, and the share of its ground
-    on which a person would stand out.
+    """A picture that was searched: its number among those of its session, the cells in it, and for each the share of
+    the ground about it on which a person would be found.
     """
 
     number: int
     at: Index
-    share: float
+    share: Array
 
 
 @dataclass(eq=False)
@@ -120,7 +119,7 @@ class _Machine:
         """As stated, lowest, highest (3, n)."""
         self.begin_session()
         least = np.maximum(np.maximum(self.thrice, self.least.sum(axis=0) - 1.0), 0.0)
-        return np.stack([least, least, np.maximum(self.best[1], 1.0 - self.missed)])
+        return np.stack([self.best[1], least, np.maximum(self.best[1], 1.0 - self.missed)])
 
 
 def _insert(two: Array, at: Index, value: Array) -> None:
@@ -148,14 +147,16 @@ def searched_for(final: Array, final_s: Array) -> Array:
 
 
 def detection(
-    seen: SeenGround,
+    looks: Sequence[Look],
     over: Coverage,
     reports: Iterable[SpotReport] = (),
     woods: Sequence[Woods] = (),
     *,
     look_s: float | None = None,
 ) -> Detection:
-    """The detection over a coverage's cells. `look_s` is how long an operator gave each picture; None: until the next.
+    """The detection over a coverage's cells by all looks, as `SeenGround.looks` has them.
+
+    `look_s` is how long an operator gave each picture; None: until the next.
 
     Raises InputError for too many cells.
     """
@@ -169,7 +170,6 @@ def detection(
     number[over.seen] = np.arange(n)
     numbered = _numbered(reports)
     machine, final, final_s = _Machine(n), np.zeros((3, n)), np.zeros((3, n))
-    looks = seen.looks()
     session: tuple[str, int] | None = None
     searched, shares = set[Key](), list[tuple[float, float]]()
     for (key, capture_unix_ns, cells_of), duration_s in zip(looks, _seconds(looks, look_s), strict=True):
@@ -186,9 +186,10 @@ def detection(
         found = numbered.get((*key, capture_unix_ns))
         if found is not None:
             searched.add(key)
+            by_cell = _by_cell(found[1], cells)
             if len(at):
-                shares.append((float(np.median(cells.gsd_m)), found[1]))
-            machine.look(_Searched(found[0], at, found[1]), capture_unix_ns)
+                shares.append((float(np.median(cells.gsd_m)), float(by_cell.mean())))
+            machine.look(_Searched(found[0], at, by_cell[kept]), capture_unix_ns)
     open_share = 1.0 - _canopy(over, woods)[over.seen]
     by_operator = searched_for(final, final_s)
     return Detection(
@@ -201,10 +202,21 @@ def detection(
     )
 
 
-def _numbered(reports: Iterable[SpotReport]) -> dict[tuple[str, int, int, int], tuple[int, float]]:
-    """By vehicle, session, frame and capture: which picture of its session it was that was searched, and the share.
+def _by_cell(report: SpotReport, cells: PictureCells) -> Array:
+    """The share (N,) that a report states for the part of its picture in which each cell is."""
+    if cells.view is None:
+        return np.zeros(len(cells))
+    rows, columns = PERSON_GRID
+    across, down = cells.view.places(cells.row, cells.column).T
+    parts = np.array([0.0 if share is None else share for share in report.person_parts])
+    out: Array = parts[(down * rows).astype(np.int64) * columns + (across * columns).astype(np.int64)]
+    return out
 
-    The capture too, for a second camera counts its own pictures. Only of those whose share is known.
+
+def _numbered(reports: Iterable[SpotReport]) -> dict[tuple[str, int, int, int], tuple[int, SpotReport]]:
+    """By vehicle, session, frame and capture: which picture of its session it was that was searched, and its report.
+
+    The capture too, for a second camera counts its own pictures. Only of those that state who would be found.
     """
     once = {(r.vehicle, r.session, r.frame, r.capture_unix_ns): r for r in reports}  # however often it came
     out, numbers = {}, dict[tuple[str, int], int]()
@@ -212,7 +224,7 @@ def _numbered(reports: Iterable[SpotReport]) -> dict[tuple[str, int, int, int], 
         session = r.vehicle, r.session
         numbers[session] = number = numbers.get(session, 0) + 1
         if r.person_found is not None:
-            out[(*session, r.frame, r.capture_unix_ns)] = number, r.person_found
+            out[(*session, r.frame, r.capture_unix_ns)] = number, r
     return out
 
 

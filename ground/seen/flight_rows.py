@@ -20,7 +20,6 @@ Array = NDArray[np.float64]
 MOST_POINTS = 700  # that common autopilots hold
 FINEST_M, COARSEST_M = 0.001, 10.0  # ground sample distances among which the wanted one is looked for
 SPEED_M_S = 10.0  # over the ground
-MACHINE_LOOKS = 3  # of a place, for a person to be listed
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,13 +62,12 @@ def machine_gsd_m(wanted: float, searched: Sequence[tuple[float, float]]) -> flo
 
     Raises InputError where none did.
     """
-    needed = (wanted + MACHINE_LOOKS - 1) / MACHINE_LOOKS
     pictures = np.array(sorted(searched)).reshape(-1, 2)
-    is_enough = pictures[:, 1] >= needed
+    is_enough = pictures[:, 1] >= wanted
     most = np.cumsum(is_enough) * 2 > np.arange(1, len(pictures) + 1)
     if not (most & is_enough).any():
         raise InputError(
-            f"in most pictures less than {needed:.0%} of people would stand out, at every height: choose --height"
+            f"in most pictures less than {wanted:.0%} of people would stand out, at every height: choose --height"
         )
     return float(pictures[most & is_enough, 0].max())
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from contract.camera import Camera
 from contract.feature_set import FeatureSet
 from contract.locate import Answers, Locator, pixels_of
 from ground.seen.cells import Cells
@@ -29,12 +30,34 @@ MOST_CELLS = 1_000_000  # of one picture
 
 
 @dataclass(frozen=True, eq=False)
+class PictureView:
+    """A camera over the level ground of its set's plane: where in the picture a cell is, without the relief."""
+
+    camera: Camera
+    first: tuple[int, int]  # the row and the column that are counted from
+    to_ray: Array  # (3, 3): of a cell's (column, row, 1), the way to its middle in the camera's axes
+
+    def places(self, row: Index, column: Index) -> Array:
+        """Places (N, 2) of cells in the picture, in shares of its width and its height, kept within it."""
+        ways = np.column_stack([column - self.first[1], row - self.first[0], np.ones(len(row))]) @ self.to_ray.T
+        xy = ways[:, :2] / np.maximum(ways[:, 2:], 1e-9)
+        # Beyond where the lens is known only relief can have put a cell: it is at the picture's edge.
+        xy *= np.minimum(1.0, self.camera.max_radius / np.maximum(np.hypot(*xy.T), 1e-9))[:, None]
+        share = (self.camera.pixels(xy) + 0.5) / (self.camera.width_px, self.camera.height_px)
+        return np.asarray(np.clip(share, 0.0, np.nextafter(1.0, 0.0)), np.float64)
+
+
+@dataclass(frozen=True, eq=False)
 class PictureCells:
-    """Cells (N,) in the order of rows and columns, each with its ground sample distance in metres."""
+    """Cells (N,) in the order of rows and columns, each with its ground sample distance in metres.
+
+    `view` is what they were seen with; None only of no cells.
+    """
 
     row: Index
     column: Index
     gsd_m: Array
+    view: PictureView | None = None
 
     def __len__(self) -> int:
         return len(self.row)
@@ -65,7 +88,20 @@ def picture_cells(s: FeatureSet, cells: Cells) -> PictureCells:
     uv, usable = pixels_of(s, fine[:3].T)
     seen = np.flatnonzero(usable & (fine[8] < 1e-9) & _is_seen(uv, s, fine[3:7]))
     row, column = np.divmod(seen, len(columns))
-    return PictureCells(rows[row], columns[column], fine[7, seen])
+    return PictureCells(rows[row], columns[column], fine[7, seen], _view(locator, plane, cells, rows, columns))
+
+
+def _view(locator: Locator, plane: GroundPlane, cells: Cells, rows: Index, columns: Index) -> PictureView:
+    """The view of a picture over its box of rows and columns, in which places on the ground are linear."""
+    s, n = locator.feature_set, max(len(rows), len(columns))
+    row, column = int(rows[0]) + np.array([0, 0, n]), int(columns[0]) + np.array([0, n, 0])
+    at = cells.lat_deg(row + 0.5), cells.lon_deg(column + 0.5)
+    corners = plane.raised(
+        locator.frame.to_enu(*at, locator.frame.height_m - 1.0 / plane.steepness)[:, :2], np.zeros(3)
+    )
+    ways = corners @ np.asarray(s.R_enu_cam, float)
+    to_ray = np.column_stack([(ways[1] - ways[0]) / n, (ways[2] - ways[0]) / n, ways[0]])
+    return PictureView(s.camera, (int(rows[0]), int(columns[0])), to_ray)
 
 
 def pixel_of(s: FeatureSet, lat_deg: float, lon_deg: float) -> tuple[float, float] | None:

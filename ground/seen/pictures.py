@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ground.seen.picture_cells import PictureCells
+from ground.seen.picture_cells import PictureCells, PictureView
 
 Key = tuple[str, int, int]  # vehicle, session, frame
 
@@ -42,7 +42,7 @@ class Pictures:
     def __init__(self) -> None:
         self.counted = 0  # that have seen something
         self._number: dict[Key, int] = {}  # in the order of adding
-        self._about: dict[int, tuple[Key, int]] = {}
+        self._about: dict[int, tuple[Key, int, PictureView | None]] = {}
         self._next = 0
         self._runs = np.zeros(FIRST_SIZE, RUN)
         self._from = self._to = 0  # of the runs that are held
@@ -66,7 +66,7 @@ class Pictures:
         self.counted += len(cells) > 0
         number = self._next
         self._next += 1
-        self._number[key], self._about[number] = number, (key, capture_unix_ns)
+        self._number[key], self._about[number] = number, (key, capture_unix_ns, cells.view)
         runs = _runs(cells, number)
         if self._to + len(runs) > len(self._runs):
             held = self._runs[self._from : self._to]
@@ -87,7 +87,7 @@ class Pictures:
             there = there[np.linspace(0, len(there) - 1, most).round().astype(np.int64)]
         out = []
         for number, gsd_m in zip(there["picture"].tolist(), there["gsd_m"].tolist(), strict=True):
-            key, capture_unix_ns = self._about[number]
+            key, capture_unix_ns, _ = self._about[number]
             out.append(Shown(*key, capture_unix_ns, gsd_m))
         return out
 
@@ -96,8 +96,8 @@ class Pictures:
         runs = self._runs[self._from : self._to]
         ends = np.searchsorted(runs["picture"], [*self._about, self._next])
         return [
-            Look(key, capture_unix_ns, partial(_cells, runs[low:high]))
-            for (key, capture_unix_ns), low, high in zip(self._about.values(), ends, ends[1:], strict=False)
+            Look(key, capture_unix_ns, partial(_cells, runs[low:high], view))
+            for (key, capture_unix_ns, view), low, high in zip(self._about.values(), ends, ends[1:], strict=False)
         ]
 
     def capture_unix_ns(self, key: Key) -> int | None:
@@ -115,12 +115,12 @@ class Pictures:
         self._from += int(np.searchsorted(held, number, side="right"))
 
 
-def _cells(runs: NDArray[np.void]) -> PictureCells:
+def _cells(runs: NDArray[np.void], view: PictureView | None) -> PictureCells:
     """The cells of a picture's runs."""
     counts = runs["last"] - runs["first"] + 1
     within = np.arange(int(counts.sum())) - np.repeat(np.cumsum(counts) - counts, counts)
     column = np.repeat(runs["first"], counts) + within
-    return PictureCells(np.repeat(runs["row"], counts).astype(np.int64), column, np.repeat(runs["gsd_m"], counts))
+    return PictureCells(np.repeat(runs["row"], counts).astype(np.int64), column, np.repeat(runs["gsd_m"], counts), view)
 
 
 def _runs(cells: PictureCells, number: int) -> NDArray[np.void]:

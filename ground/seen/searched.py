@@ -10,6 +10,15 @@ from ground.seen.area import Sector
 from ground.seen.coverage import Coverage, Gap, gaps
 from ground.seen.detection import Detection, SectorDetection, sector_detection
 
+BELOW = 0.5  # of a probability: a gap, if no other is asked for
+# What the probabilities by each take for granted, for people.
+ASSUMED = {
+    "machine": f"by the search for heat: a person {PERSON_K:g} K warmer than the ground, half a metre across, "
+    "in the open",
+    "operator": "by whoever looks at each picture: a person half a metre across, by resolution and time alone; "
+    "declared, not measured",
+}
+
 
 @dataclass(frozen=True, eq=False)
 class Searched:
@@ -40,7 +49,8 @@ class Searched:
         by = self.detection
         return {
             "pictures": by.pictures, "searched_pictures": by.searched, "unmatched_reports": by.strangers,
-            "by": self.who, "below": self.below, "sectors": [sector.to_dict() for sector in self.sectors],
+            "by": self.who, "assumed": ASSUMED, "below": self.below,
+            "sectors": [sector.to_dict() for sector in self.sectors],
             "gaps": [gap_dict(gap) for gap in self.gaps],
         }  # fmt: skip
 
@@ -55,20 +65,20 @@ class Searched:
         if by.strangers:
             lines.append(f"not counted: {by.strangers} searched pictures whose ground is not known here")
         for sector in self.sectors:
-            lines += sector_lines(sector, self.below)
+            lines += sector_lines(sector, self.below).values()
         total_m2 = sum(gap.area_m2 for gap in self.gaps)
         lines.append(f"below {self.below:g} by {self.who}: {area_text(total_m2)}, {len(self.gaps)} parts")
         return lines
 
 
-def sector_lines(sector: SectorDetection, below: float) -> list[str]:
+def sector_lines(sector: SectorDetection, below: float) -> dict[str, str]:
     """A line for the machine, if it has searched, and one for the operator."""
     where = f"in sector {sector.name}" if sector.name else "in the searched area"
-    out = []
+    out = {}
     for who, p in (("machine", sector.machine), ("operator", sector.operator)):
         if p is not None:
             left = f"{area_text(sector.below_m2[who])} left below {below:g}"
-            out.append(f"POD {p[0]:.2f} ({p[1]:.2f} to {p[2]:.2f}) by {who} {where}, {left}")
+            out[who] = f"POD {p[0]:.2f} ({p[1]:.2f} to {p[2]:.2f}) by {who} {where}, {left}"
     return out
 
 

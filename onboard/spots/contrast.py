@@ -50,16 +50,16 @@ def contrast(values: Image, is_ground: Mask, side_m: float, pixel_m: float) -> C
         times = width / size[0]
     side_px = max(side_m / pixel_m / times, 1.0)
     # A spot covers a few of the window's parts: their median is the ground about it.
-    low = _parts(values, side_px)
-    background = _stretched(np.asarray(cv2.medianBlur(low, WINDOW), np.float32), values)
+    low = parts(values, side_px)
+    background = stretched(np.asarray(cv2.medianBlur(low, WINDOW), np.float32), values)
     excess = np.asarray(cv2.GaussianBlur(values - background, (0, 0), BLUR_PX), np.float32)
-    power = _parts(excess * excess, CLUTTER_SIDES * side_px)
+    power = parts(excess * excess, CLUTTER_SIDES * side_px)
     local = np.sqrt(np.asarray(cv2.medianBlur(power, WINDOW), np.float32))
-    ground = _stretched(is_ground.astype(np.float32), local) > 0.5
+    ground = stretched(is_ground.astype(np.float32), local) > 0.5
     floor = max(LEAST_SHARE * float(np.median(local[ground] if ground.any() else local)), 1e-6)
     local = np.maximum(local, np.float32(floor))
-    in_clutter = excess / _stretched(local, values)
-    in_clutter[_stretched(is_ground.astype(np.float32), values) < 0.99] = 0.0
+    in_clutter = excess / stretched(local, values)
+    in_clutter[stretched(is_ground.astype(np.float32), values) < 0.99] = 0.0
     return Contrast(side_m, times, values, background, excess, in_clutter, local, ground)
 
 
@@ -68,7 +68,7 @@ def in_picture(values: Image, is_ground: Mask) -> tuple[Image, float]:
 
     Pixels that show no ground are 0.
     """
-    outside = _stretched(is_ground.astype(np.float32), values) < 0.99
+    outside = stretched(is_ground.astype(np.float32), values) < 0.99
     some = values[::EACH, ::EACH]
     some = some if outside.all() else some[~outside[::EACH, ::EACH]]
     usual = float(np.median(some))
@@ -78,12 +78,13 @@ def in_picture(values: Image, is_ground: Mask) -> tuple[Image, float]:
     return out, usual
 
 
-def _parts(values: Image, part_px: float) -> Image:
+def parts(values: Image, part_px: float) -> Image:
     """Means of parts of about so many pixels to a side; at least a window of them."""
     height, width = values.shape
     size = max(round(width / part_px), WINDOW), max(round(height / part_px), WINDOW)
     return np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_AREA), np.float32)
 
 
-def _stretched(coarse: Image, like: Image) -> Image:
+def stretched(coarse: Image, like: Image) -> Image:
+    """A coarse picture (h, w) as large as another (H, W), linear in between."""
     return np.asarray(cv2.resize(coarse, like.shape[::-1], interpolation=cv2.INTER_LINEAR), np.float32)

@@ -13,8 +13,8 @@ from onboard.config.schema import SpotsConfig
 from onboard.spots.clutter_tail import LARGEST, ClutterTail
 from onboard.spots.contrast import Contrast, Image, contrast, in_picture
 from onboard.spots.ground_scale import USUAL_M, GroundScale, ground_scale, usual_scale
-from onboard.spots.regions import MOST_REGIONS, Part, Region, about_peak, above, peaks, region_of
-from onboard.spots.would_find import share_found
+from onboard.spots.regions import MOST_REGIONS, Part, Region, about_peak, above, peaks, region_of, size_limits
+from onboard.spots.would_find import found_by_part
 
 Array = NDArray[np.float64]
 
@@ -23,7 +23,6 @@ OUT_OF_PICTURE = 25.0  # sigmas of the whole picture, above which a spot may hav
 TRIED = 4 * LARGEST  # peaks looked at for the tail, of which most are no spots
 PARTS = 24, 32  # rows and columns of the grid on which it is known how much ground a pixel shows
 LEAST_PX = 2.0  # to a side of what can be distinguished from a pixel's fault
-REACH_SIDES, LEAST_SIDE = 1.5, 0.5  # a thing is no farther about its peak and no smaller, in sides of its size
 
 
 class Detector:
@@ -39,8 +38,8 @@ class Detector:
         octaves = max(int(np.ceil(np.log2(config.largest_m / smallest))), 1)
         self.tails = {smallest * 2.0**k: ClutterTail(config.false_per_km2 / octaves) for k in range(octaves)}
         self._pixel_m = 0.0  # of the newest picture with a scale
-        self.person_found: float | None = None
-        """The share of the newest picture's ground on which a person would be found; None where it is not known."""
+        self.person_found: tuple[float | None, ...] = ()
+        """Of the newest picture, as a report's `person_parts`."""
 
     @property
     def thresholds(self) -> dict[float, float]:
@@ -73,7 +72,7 @@ class Detector:
                 if region is not None:
                     found.append(replace(region, significance=region.contrast / max(must, 1e-6)))
         is_known = self._scale is not None and ground is not None
-        self.person_found = share_found(contrasts, self.thresholds, pixel_m) if is_known else None
+        self.person_found = found_by_part(values, contrasts, self.thresholds, pixel_m) if is_known else ()
         return apart(sorted(found, key=lambda region: -region.significance))
 
     def _learn(self, c: Contrast, tail: ClutterTail, ground: GroundScale, place_m: Array, pixel_m: float) -> None:
@@ -86,14 +85,13 @@ class Detector:
 
     def _small(self, c: Contrast, pixel_m: float, least: float, most: int) -> list[tuple[float, Part]]:
         """Contrasts and parts of what has the size that `c` is for, the greatest first."""
-        side_px = c.side_m / (pixel_m * c.times)
-        reach, least_px = max(int(np.ceil(REACH_SIDES * side_px)), 3), (LEAST_SIDE * side_px) ** 2
+        reach_px, least_px = size_limits(c, pixel_m)
         found: list[tuple[float, Part]] = []
         for peak in peaks(c, least, TRIED):
             row, column = int(peak[0]), int(peak[1])
             if any(part.holds(row, column) for _, part in found):
                 continue
-            part = about_peak(c, peak, reach, least_px)
+            part = about_peak(c.excess, (row, column), reach_px, least_px)
             if part is not None:
                 found.append((float(c.in_clutter[row, column]), part))
                 if len(found) == most:

@@ -16,6 +16,7 @@ FINER, OUTLINE_PX = 4, 256  # an outline is traced up to so many times finer tha
 LEAST_APART_PX = 2
 MOST_REGIONS = 24
 MOST_POINTS, ROUGHEST_PX = 120, 0.25
+REACH_SIDES, LEAST_SIDE = 1.5, 0.5  # a thing is no farther about its peak and no smaller, in sides of its size
 LENS_PX = 0.6  # one sigma of a thermal camera's blur; a pixel's own width comes on top
 
 
@@ -62,16 +63,25 @@ def peaks(c: Contrast, least: float, most: int) -> NDArray[np.int64]:
     return np.asarray(at[order], np.int64)
 
 
-def about_peak(c: Contrast, peak: NDArray[np.int64], reach_px: int, least_px: float) -> Part | None:
-    """Return the part within half of a peak's excess and joined to it, in the picture of `c`.
+def size_limits(c: Contrast, pixel_m: float) -> tuple[int, float]:
+    """The limits of a thing of the size of `c`, in its pixels: its reach about its peak, and how many it has at least.
+
+    `pixel_m` is the ground that the usual pixel of the whole picture shows.
+    """
+    side_px = c.side_m / (pixel_m * c.times)
+    return max(int(np.ceil(REACH_SIDES * side_px)), 3), (LEAST_SIDE * side_px) ** 2
+
+
+def about_peak(whole: Image, peak: tuple[int, int], reach_px: int, least_px: float) -> Part | None:
+    """Return the part within half of a peak's excess and joined to it, of the excess (H, W) of a picture.
 
     None if it is of another size: it reaches farther than `reach_px` or has fewer than `least_px` pixels.
     """
-    row, column = int(peak[0]), int(peak[1])
-    height, width = c.values.shape
+    row, column = peak
+    height, width = whole.shape
     up, left = max(row - reach_px, 0), max(column - reach_px, 0)
-    excess = c.excess[up : row + reach_px + 1, left : column + reach_px + 1]
-    level = 0.5 * float(c.excess[row, column])
+    excess = whole[up : row + reach_px + 1, left : column + reach_px + 1]
+    level = 0.5 * float(whole[row, column])
     _, labels = cv2.connectedComponents((excess > level).astype(np.uint8), connectivity=8)
     inside = labels == labels[row - up, column - left]
     rows, columns = np.nonzero(inside)

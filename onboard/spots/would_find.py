@@ -1,4 +1,4 @@
-"""The share of a picture's ground on which a person would be found now. (25.23)"""
+"""Where in a picture a person would be found now: tried, place by place, in the picture itself. (25.23), (25.24)"""
 
 from __future__ import annotations
 
@@ -8,50 +8,146 @@ from functools import lru_cache
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr
+from scipy.ndimage import rank_filter
 
-from contract.spot import PERSON_K, PERSON_M2
-from onboard.spots.contrast import Contrast, contrast
-from onboard.spots.regions import LENS_PX
+from contract.spot import PERSON_GRID, PERSON_K, PERSON_M2
+from onboard.spots.contrast import CLUTTER_SIDES, WINDOW, Contrast, Image, contrast, parts, stretched
+from onboard.spots.regions import LENS_PX, about_peak, size_limits
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
-FINER = 8  # parts to the side of a pixel, of which a person's picture is made
-PLACES = 2  # to the side of a pixel, at which a person may stand in it
-SIDE_PX = 96  # of that picture
+TRIED = 4  # places to the side of a part of the picture, at each of which one person is tried
+SIDE_PX = 96  # of the picture of level ground that shows how a person stands out
 PIXEL_STEP = 0.05  # of a pixel, by which sizes differ that are computed by themselves
+CLOSE = 1.25  # of what is needed, up to which a person is put into the picture itself
+# Where in a pixel a person stands: evenly over it (Hammersley), for much depends on it where a pixel is as large.
+PHASES = np.array([(k, int(f"{k:04b}"[::-1], 2)) for k in range(16)]) / 16.0 + 1.0 / 32.0
 
 
-def share_found(contrasts: Sequence[Contrast], thresholds: Mapping[float, float], pixel_m: float) -> float:
-    """The share of the ground on which PERSON_K above it and PERSON_M2 large is found by any of the sizes.
+def found_by_part(
+    kelvin: Image, contrasts: Sequence[Contrast], thresholds: Mapping[float, float], pixel_m: float
+) -> tuple[float | None, ...]:
+    """The shares of the parts of a picture, PERSON_GRID row by row, on which PERSON_K above the ground and PERSON_M2
+    large is found by any of the sizes; None of a part that shows no ground.
 
-    `contrasts` are a calibrated picture's, by size; `thresholds` what each size must have, in sigmas of the clutter.
+    `kelvin` is the picture (H, W) and `contrasts` its own, by size; `thresholds` what each size must have, in sigmas of
+    the clutter; `pixel_m` the ground that the usual pixel shows.
     """
-    found = None
-    stepped_m = float(np.exp(round(np.log(pixel_m) / PIXEL_STEP) * PIXEL_STEP))
+    rows, columns = PERSON_GRID
+    down, across = ((np.arange(TRIED * count) + 0.5) / (TRIED * count) for count in PERSON_GRID)
+    at = np.stack(np.meshgrid(down, across, indexing="ij"), axis=-1).reshape(-1, 2)
+    found, is_ground = np.zeros(len(at), bool), np.zeros(len(at), bool)
     for c in contrasts:
-        excess = PERSON_K * _excess(c.side_m, stepped_m)
-        share = np.where(c.is_ground, ndtr(excess / c.clutter - thresholds[c.side_m]), np.nan)
-        coarse = np.asarray(cv2.resize(share, contrasts[0].clutter.shape[::-1], interpolation=cv2.INTER_NEAREST), float)
-        found = coarse if found is None else np.fmax(found, coarse)
-    return 0.0 if found is None or not np.isfinite(found).any() else float(np.nanmean(found))
+        shown = c.in_clutter[_pixels(c, at)] != 0.0
+        trial = Trial(kelvin, c, thresholds[c.side_m], pixel_m)
+        is_ground |= shown
+        found[shown & ~found] = trial.found(at[shown & ~found])
+    counts = [each.reshape(rows, TRIED, columns, TRIED).sum(axis=(1, 3)).ravel() for each in (found, is_ground)]
+    return tuple(float(n / of) if of else None for n, of in zip(*counts, strict=True))
 
 
-@lru_cache(maxsize=256)
-def _excess(side_m: float, pixel_m: float) -> float:
-    """Return how far a person of 1 K stands out of level ground, K, for things of `side_m`. (25.3)
+def _pixels(c: Contrast, at: Array) -> tuple[Index, Index]:
+    """Rows and columns (N,) in the picture of `c` of places (N, 2), shares of its height and width."""
+    row, column = (at * c.values.shape).astype(np.int64).T
+    return row, column
 
-    The mean over where in a pixel it stands.
+
+class Trial:
+    """One size's search of a picture into which people are put, each as if alone. (25.23)"""
+
+    def __init__(self, kelvin: Image, c: Contrast, threshold: float, pixel_m: float) -> None:
+        self._kelvin, self._c, self._threshold, self._pixel_m = kelvin, c, threshold, pixel_m
+        self._limits = size_limits(c, pixel_m)
+        self._radius = self._limits[0] + 2  # a peak next to the middle has its reach within
+        self._step_m = float(np.exp(round(np.log(pixel_m) / PIXEL_STEP) * PIXEL_STEP))
+
+    def found(self, at: Array) -> Mask:
+        """The mask (N,) of the places (N, 2) at which a person is found."""
+        c, radius = self._c, self._radius
+        persons = np.float32(PERSON_K) * _persons(c.side_m, self._step_m, radius)
+        row, column = _pixels(c, at)
+        must = self._threshold * self._clutter_with_person(row, column)
+        which = np.arange(len(at)) % len(persons)
+        around = np.pad(c.excess, radius)
+        out = np.zeros(len(at), bool)
+        # Not tried where its middle and the pixels about it, all at their largest, are too little.
+        for k in np.flatnonzero(_largest_near(c.excess)[row, column] + persons.max() > must):
+            i, j = row[k], column[k]
+            shown = around[i : i + 2 * radius + 1, j : j + 2 * radius + 1] + persons[which[k]]
+            if self._is_close(shown, must[k]):
+                shown = self._with_person(i, j, which[k])
+            out[k] = self._is_thing(shown, must[k])
+        return out
+
+    def _clutter_with_person(self, row: Index, column: Index) -> Image:
+        """The clutter (N,) at pixels with a person there: of the 25 parts of the median his own is now the largest."""
+        c, side_px = self._c, self._c.side_m / self._pixel_m / self._c.times
+        power = parts(c.excess * c.excess, CLUTTER_SIDES * max(side_px, 1.0))
+        next_up = np.sqrt(rank_filter(power, WINDOW * WINDOW // 2 + 1, size=WINDOW, mode="nearest"))
+        height, width = power.shape
+        own = row * height // c.values.shape[0], column * width // c.values.shape[1]
+        is_raised = np.sqrt(power[own]) <= c.clutter[own]
+        alone = stretched(c.clutter, c.values)[row, column]
+        raised = stretched(np.maximum(next_up, c.clutter), c.values)[row, column]
+        return np.asarray(np.where(is_raised, raised, alone), np.float32)
+
+    def _is_close(self, shown: Image, must: float) -> bool:
+        """Return whether it matters that a person also lifts the median that is his background."""
+        return bool(must < _middle(shown, self._radius).max() < CLOSE * must)
+
+    def _with_person(self, row: int, column: int, which: int) -> Image:
+        """What stands out about a pixel of `c`, the person put into the picture itself: exact, and slower."""
+        c, reach = self._c, self._radius
+        half = int(np.ceil((reach + WINDOW * c.side_m / self._pixel_m / c.times) * c.times))
+        middle = (np.array([row, column]) + PHASES[which]) * c.times
+        low = np.maximum(middle.astype(int) - half, 0)
+        crop = self._kelvin[low[0] : int(middle[0]) + half, low[1] : int(middle[1]) + half]
+        person = _person(crop.shape, middle - low, self._pixel_m)
+        found = contrast(crop + np.float32(PERSON_K) * person, np.ones((4, 4), bool), c.side_m, self._pixel_m)
+        i, j = ((middle - low) / found.times).astype(int)
+        excess = np.pad(found.excess, reach)
+        return np.asarray(excess[i : i + 2 * reach + 1, j : j + 2 * reach + 1], np.float32)
+
+    def _is_thing(self, shown: Image, must: float) -> bool:
+        """Return whether a peak by the middle is above what it must have, and of the thing's size."""
+        middle = _middle(shown, self._radius)
+        y, x = divmod(int(middle.argmax()), 3)
+        peak = self._radius - 1 + y, self._radius - 1 + x
+        return bool(middle[y, x] > must) and about_peak(shown, peak, *self._limits) is not None
+
+
+def _middle(shown: Image, radius: int) -> Image:
+    return shown[radius - 1 : radius + 2, radius - 1 : radius + 2]
+
+
+def _largest_near(values: Image) -> Image:
+    return np.asarray(cv2.dilate(values, np.ones((3, 3), np.uint8)), np.float32)
+
+
+def _person(shape: tuple[int, ...], middle_px: Array, pixel_m: float) -> Image:
+    """A person of 1 K in a picture (H, W), through the lens, with its middle so far from the picture's corner."""
+    half_px = 0.5 * np.sqrt(PERSON_M2) / pixel_m
+    cover = [
+        np.clip(np.minimum(np.arange(n) + 1.0, m + half_px) - np.maximum(np.arange(n), m - half_px), 0.0, 1.0)
+        for n, m in zip(shape, middle_px, strict=True)
+    ]
+    return np.asarray(cv2.GaussianBlur(np.outer(*cover).astype(np.float32), (0, 0), LENS_PX), np.float32)
+
+
+@lru_cache(maxsize=64)
+def _persons(side_m: float, pixel_m: float, radius: int) -> Image:
+    """How persons of 1 K stand out of level ground for things of `side_m`, one for each of PHASES. (25.3)
+
+    (P, 2 radius + 1, 2 radius + 1), K, about the pixel that a person stands in.
     """
-    side_px = np.sqrt(PERSON_M2) / pixel_m
-    excess = []
     is_ground = np.ones((4, 4), bool)
-    for at in np.ndindex(PLACES, PLACES):
-        middle = 0.5 * SIDE_PX + (np.array(at) + 0.5) / PLACES
-        edges = (np.arange(SIDE_PX * FINER) + 0.5) / FINER
-        inside = [np.abs(edges - m) < 0.5 * side_px for m in middle]
-        fine = np.outer(*inside).astype(np.float32)
-        pixels = fine.reshape(SIDE_PX, FINER, SIDE_PX, FINER).mean(axis=(1, 3))
-        seen = np.asarray(cv2.GaussianBlur(pixels, (0, 0), LENS_PX), np.float32)
-        excess.append(float(contrast(seen, is_ground, side_m, pixel_m).excess.max()))
-    return float(np.mean(excess))
+    times = contrast(np.zeros((SIDE_PX, SIDE_PX), np.float32), is_ground, side_m, pixel_m).times
+    persons = []
+    for phase in PHASES:
+        middle = times * (SIDE_PX // (2.0 * times) + phase)
+        shown = contrast(_person((SIDE_PX, SIDE_PX), middle, pixel_m), is_ground, side_m, pixel_m)
+        i, j = (middle / times).astype(int)
+        persons.append(np.pad(shown.excess, radius)[i : i + 2 * radius + 1, j : j + 2 * radius + 1])
+    return np.array(persons)

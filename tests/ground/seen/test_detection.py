@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,18 +12,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from contract.feature_set import FeatureSet
-from contract.spot import SpotReport
+from contract.spot import PERSON_GRID, SpotReport
 from ground.seen.area import Woods
 from ground.seen.coverage import Coverage, coverage
 from ground.seen.detection import Detection, detection, final_probability, searched_for, sector_detection
+from ground.seen.picture_cells import pixel_of
 from ground.seen.tally import SeenGround
-from tests.ground.seen.levels import PLACE, level_set
+from tests.ground.seen.levels import CAMERA, PLACE, level_set
 
 RING_M = np.array([(-15.0, -15.0), (15.0, -15.0), (15.0, 15.0), (-15.0, 15.0)])  # in every picture below
 
 
 def report_of(s: FeatureSet, share: float | None, late_ns: int = 0) -> SpotReport:
-    return SpotReport(s.session, s.frame, s.capture_unix_ns + late_ns, True, vehicle=s.vehicle, person_found=share)
+    """The same share in all parts of a picture."""
+    parts = () if share is None else (share,) * int(np.prod(PERSON_GRID))
+    return SpotReport(s.session, s.frame, s.capture_unix_ns + late_ns, True, vehicle=s.vehicle, person_parts=parts)
 
 
 def ring(east_m: float = 0.0) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
@@ -38,7 +42,7 @@ def searched(
         seen.add(s)
     shown = coverage(seen)
     assert shown is not None
-    return shown, detection(seen, shown, reports, **options)  # type: ignore[arg-type]
+    return shown, detection(seen.looks(), shown, reports, **options)  # type: ignore[arg-type]
 
 
 def machine(shares: Sequence[float | None], at_s: Sequence[float] | None = None, **about: object) -> list[float]:
@@ -51,16 +55,41 @@ def machine(shares: Sequence[float | None], at_s: Sequence[float] | None = None,
 
 
 @pytest.mark.parametrize(
-    ("shares", "stated", "highest"),
+    ("shares", "stated", "least"),
     [
         ([1.0], 0.0, 0.0), ([1.0, 1.0], 0.0, 0.0),  # a spot is reported in two of three, a thing listed in two reports
-        ([1.0, 1.0, 1.0], 1.0, 1.0), ([0.9, 0.9, 0.9], 0.7, 0.9), ([0.5] * 3, 0.0, 0.5),
-        ([0.5] * 20, 0.0, 0.5),  # the twentieth look of one pass finds whom the first one cannot
-        ([0.9, 0.2, 0.9, 0.9], 0.6, 0.9), ([1.0, None, 1.0, 1.0], 1.0, 1.0), ([1.0, None, None, 1.0, 1.0], 0.0, 0.0),
+        ([1.0, 1.0, 1.0], 1.0, 1.0), ([0.9, 0.9, 0.9], 0.9, 0.7), ([0.5] * 3, 0.5, 0.0),
+        ([0.5] * 20, 0.5, 0.0),  # the twentieth look of one pass finds no one whom the first one cannot
+        ([0.9, 0.2, 0.9, 0.9], 0.9, 0.6), ([1.0, None, 1.0, 1.0], 1.0, 1.0), ([1.0, None, None, 1.0, 1.0], 0.0, 0.0),
     ],
 )  # fmt: skip
-def test_looks_of_one_pass_count_at_most_as_their_best(shares: list[float], stated: float, highest: float) -> None:
-    assert machine(shares) == pytest.approx([stated, stated, highest])
+def test_looks_of_one_pass_count_at_most_as_their_best(shares: list[float], stated: float, least: float) -> None:
+    assert machine(shares) == pytest.approx([stated, least, stated])
+
+
+@pytest.mark.parametrize("tilt_deg", [0.0, 30.0])
+def test_the_share_is_that_of_the_part_of_the_picture_that_shows_the_place(tilt_deg: float) -> None:
+    """Against the pixels that the sets themselves have for places."""
+    rows, columns = PERSON_GRID
+    sets = [level_set(k, tilt_deg=tilt_deg, north_m=-120.0 * np.tan(np.radians(tilt_deg))) for k in range(3)]
+    parts = tuple(k / 20.0 if k else None for k in range(rows * columns))
+    shown, by = searched(sets, [replace(report_of(s, 1.0), person_parts=parts) for s in sets])
+    assert by.machine is not None
+    count = 0
+    for east in np.linspace(-40.0, 40.0, 9):
+        for north in np.linspace(-30.0, 30.0, 7):
+            lat, lon, _ = (float(x) for x in PLACE.to_geodetic((east, north, 0.0)))
+            row, column = (int(n) for n in shown.cells.at(lat, lon))
+            middle = shown.cells.lat_deg(row + 0.5), shown.cells.lon_deg(column + 0.5)
+            uv = pixel_of(sets[0], float(middle[0]), float(middle[1]))
+            stated = by.machine[0, row - shown.row0, column - shown.column0]
+            if uv is None or not shown.seen[row - shown.row0, column - shown.column0]:
+                continue
+            part = int((uv[1] + 0.5) / CAMERA.height_px * rows) * columns
+            part += int((uv[0] + 0.5) / CAMERA.width_px * columns)
+            assert stated == pytest.approx(part / 20.0)
+            count += 1
+    assert count > 40
 
 
 def test_passes_raise_what_may_be_and_not_what_is_stated() -> None:
@@ -70,14 +99,14 @@ def test_passes_raise_what_may_be_and_not_what_is_stated() -> None:
 
 
 @given(st.lists(st.floats(0.0, 1.0), min_size=3, max_size=6))
-def test_no_dependence_between_looks_undercuts_what_is_stated(shares: list[float]) -> None:
+def test_no_dependence_between_looks_undercuts_the_lowest(shares: list[float]) -> None:
     """The worst: misses that exclude each other as far as they can, so that as few looks as possible find the same."""
     misses = np.cumsum([0.0, *(1.0 - np.array(shares))])
     people = (np.arange(2000) + 0.5) / 2000.0
     seen = np.array([~(((people - low) % 1.0) < high - low) for low, high in itertools.pairwise(misses)])
     before = np.concatenate([np.zeros((2, len(people)), bool), seen])
     reports = seen & (before[1:-1] | before[:-2])
-    assert machine(shares)[0] <= np.mean(reports.sum(axis=0) >= 2) + 0.01
+    assert machine(shares)[1] <= np.mean(reports.sum(axis=0) >= 2) + 0.01
 
 
 def test_another_aircraft_and_a_second_camera_are_no_looks_of_the_same() -> None:
@@ -122,7 +151,7 @@ def test_what_was_not_seen_counts_in_a_sector_as_not_found() -> None:
     next_to = ring(1000.0)
     shown = coverage(seen, [[ring()], [next_to]])
     assert shown is not None
-    by = detection(seen, shown, [report_of(s, 1.0) for s in sets])
+    by = detection(seen.looks(), shown, [report_of(s, 1.0) for s in sets])
     whole, half, none = (
         sector_detection("", rings, shown, by, 0.5) for rings in ([ring()], [ring(), next_to], [next_to])
     )

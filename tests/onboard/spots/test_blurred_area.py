@@ -44,7 +44,7 @@ def test_the_outline_of_a_thing_in_a_picture_gives_its_area_on_both_sides_of_the
         ground = 290.0 + 0.05 * rng.standard_normal((96, 128))
         values = (ground + 8.0 * blurred_disc(across_px, LENS_PX, (u, v))).astype(np.float32)
         c = contrast(values, np.ones((24, 32), bool), across_px * PIXEL_M, PIXEL_M)
-        part = about_peak(c, peaks(c, 10.0, 1)[0], 8, 1.0)
+        part = about_peak(c.excess, tuple(peaks(c, 10.0, 1)[0]), 8, 1.0)
         assert part is not None
         region = region_of(c, part, 10.0)
         assert region is not None

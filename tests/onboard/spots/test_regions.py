@@ -55,7 +55,7 @@ def test_the_middle_and_size_of_a_thing_are_found_below_a_pixel() -> None:
     c = contrast(values, GROUND, 0.6, 0.15)
     peak = peaks(c, 10.0, 5)
     assert len(peak) >= 1
-    part = about_peak(c, peak[0], 8, 4.0)
+    part = about_peak(c.excess, tuple(peak[0]), 8, 4.0)
     assert part is not None
     region = region_of(c, part, 30.0)
     assert region is not None
@@ -71,7 +71,7 @@ def test_a_large_thing_is_as_large_in_a_coarser_picture() -> None:
     c = contrast(values, GROUND, 5.0, 0.15)
     assert c.times > 3.0
     peak = peaks(c, 5.0, 3)[0]
-    part = about_peak(c, peak, 5, 2.0)
+    part = about_peak(c.excess, tuple(peak), 5, 2.0)
     assert part is not None
     region = region_of(c, part, 9.0)
     assert region is not None
@@ -83,7 +83,7 @@ def test_what_goes_on_and_on_is_no_thing() -> None:
     road = field()
     road[118:122] += 8.0
     c = contrast(road, GROUND, 0.6, 0.15)
-    tried = [about_peak(c, peak, 8, 4.0) for peak in peaks(c, 8.0, 20)]
+    tried = [about_peak(c.excess, tuple(peak), 8, 4.0) for peak in peaks(c, 8.0, 20)]
     assert len(tried) > 3 and not any(tried)
 
 
@@ -91,7 +91,7 @@ def test_a_thing_at_the_edge_is_reported_to_be_cut() -> None:
     values = field()
     values[100:106, 316:] += 8.0
     c = contrast(values, GROUND, 0.6, 0.15)
-    part = about_peak(c, peaks(c, 10.0, 1)[0], 8, 4.0)
+    part = about_peak(c.excess, tuple(peaks(c, 10.0, 1)[0]), 8, 4.0)
     assert part is not None
     region = region_of(c, part, 9.0)
     assert region is not None and region.is_cut
