@@ -1,6 +1,6 @@
 // Requests to the server that served the page, and its events.
 
-import type { ClickBody, CoordinateReply, FireReply, FoundSpot, FrameRow, FrameView, Handoff, News, Pin, PinReply, PlaceReply, Seen, SeenAt, SeenPicture, SeenState, ServerEvent, ServerStatus, Tie } from "./types.js";
+import type { ClickBody, CoordinateReply, FireReply, FoundSpot, FrameRow, FrameView, Handoff, News, Pin, PinReply, PlaceReply, Seen, SeenAt, SeenDetection, SeenPicture, SeenState, ServerEvent, ServerStatus, Tie } from "./types.js";
 
 export class Refused extends Error {
   constructor(readonly status: number, message: string, readonly body: unknown) { super(message); }
@@ -38,6 +38,9 @@ export const api = {
   features: (vehicle: string, session: number, frame: number) => asked<FrameView>(frameUrl(vehicle, session, frame, "features")),
   pictureUrl: (vehicle: string, session: number, frame: number) => frameUrl(vehicle, session, frame, "picture"),
   seenState: () => asked<SeenState>("/api/seen"),
+  seenDetection: () => asked<SeenDetection>("/api/seen/detection"),
+  seenSectors: (file: File) => asked<{ sectors: number }>(`/api/seen/sectors?name=${part(file.name)}`, "POST", file),
+  noSectors: () => asked<{ sectors: number }>("/api/seen/sectors", "DELETE"),
   seenAt: (lat: number, lon: number) => asked<SeenAt>(`/api/seen/at?lat=${lat}&lon=${lon}`),
   seenPixel: (at: SeenPicture, lat: number, lon: number) =>
     asked<{ u_px: number; v_px: number }>(`${frameUrl(at.vehicle, at.session, at.frame, "pixel")}&lat=${lat}&lon=${lon}`),

@@ -1,20 +1,25 @@
-// What has been seen, on the map: a layer by age or by count with its legend, and the pictures that show a place.
+// What has been seen, on the map: a layer by age, by count or by who would have been found, with its legend and numbers by
+// sector, and the pictures that show a place.
 
-import type { Map as MapLibreMap, MapMouseEvent, RasterTileSource } from "maplibre-gl";
+import type { GeoJSONSource, Map as MapLibreMap, MapMouseEvent, RasterTileSource } from "maplibre-gl";
 import { api } from "./api.js";
 import { byId, make, setText } from "./dom.js";
 import { clock, moment } from "./format.js";
-import { PIN_LAYERS } from "./map-layers.js";
+import { PIN_LAYERS, collection } from "./map-layers.js";
 import type { State } from "./state.js";
-import type { SeenAt, SeenPicture, SeenState } from "./types.js";
+import type { Finder, SeenAt, SeenDetection, SeenPicture, SeenState } from "./types.js";
 
-// In the order of COLOURS, AGES_S and COUNTS of ground/web/seen_tile.py.
+// In the order of COLOURS, AGES_S, COUNTS and PROBABILITIES of ground/web/seen_tile.py.
 const COLOURS = ["#fde725", "#5ec962", "#21918c", "#3b528b", "#440154"];
-const WORDS = { age: ["under 1", "1 to 5", "5 to 20", "20 to 60", "over 60"], count: ["20 or more", "5 to 19", "2 to 4", "1"] };
-const NAME = "seen";
+const LIKELY = ["0.9 and more", "0.7 to 0.9", "0.5 to 0.7", "0.2 to 0.5", "under 0.2"];
+const WORDS = { age: ["under 1", "1 to 5", "5 to 20", "20 to 60", "over 60"], count: ["20 or more", "5 to 19", "2 to 4", "1"], machine: LIKELY, operator: LIKELY };
+const CHOICES: [By, string][] = [["age", "by age"], ["count", "by how often"], ["machine", "found by machine"], ["operator", "found by operator"]];
+const NAME = "seen", SECTORS = "seen-sectors";
 const ABOVE = "path"; // the lowest layer above it
-const LOOK_MS = 5000, COUNTING_MS = 2000; // between two questions of how it stands
-type By = "age" | "count";
+const LOOK_MS = 5000, COUNTING_MS = 2000, COMPUTING_MS = 500; // between two questions of how it stands
+type By = "age" | "count" | Finder;
+
+const isFinder = (by: By): by is Finder => by === "machine" || by === "operator";
 
 /** Open a picture at the place it shows. */
 export type OpenSeen = (picture: SeenPicture, lat: number, lon: number) => void;
@@ -30,11 +35,17 @@ export class SeenLayer {
   private readonly unit = make("p", { class: "seen-sum" });
   private readonly legend = make("ul", { class: "seen-legend" });
   private readonly sum = make("p", { class: "seen-sum", "data-testid": "seen-sum" });
+  private readonly numbers = make("ul", { class: "seen-numbers", "data-testid": "seen-numbers" });
+  private readonly file = make("input", { type: "file", accept: ".geojson,.json,.kml", hidden: true, "data-testid": "sectors-file" });
+  private readonly sectors = make("div", { class: "seen", hidden: true },
+    make("button", { type: "button", class: "frame", title: "areas of a GeoJSON or KML file, for a number each", "data-testid": "sectors", click: () => this.file.click() }, "Sectors ..."), this.file,
+    make("button", { type: "button", class: "frame", title: "no sectors: all that was seen", "data-testid": "no-sectors", click: () => this.choose(api.noSectors()) }, "None"));
 
   constructor(private readonly map: MapLibreMap, private readonly state: State, private readonly open: OpenSeen) {
-    const by = make("select", { "aria-label": "colours show", "data-testid": "seen-by" }, make("option", { value: "age" }, "by age"), make("option", { value: "count" }, "by how often"));
-    by.addEventListener("change", () => { this.by = by.value === "count" ? "count" : "age"; this.drawLegend(); void this.look(); });
-    this.panel.append(make("div", { class: "seen-head" }, make("strong", {}, "Seen"), by), this.unit, this.legend, this.sum, this.found);
+    const by = make("select", { "aria-label": "colours show", "data-testid": "seen-by" }, ...CHOICES.map(([value, text]) => make("option", { value }, text)));
+    by.addEventListener("change", () => { this.by = CHOICES[by.selectedIndex]![0]; this.drawLegend(); void this.look(); });
+    this.file.addEventListener("change", () => { const [file] = this.file.files ?? []; if (file !== undefined) this.choose(api.seenSectors(file)); this.file.value = ""; });
+    this.panel.append(make("div", { class: "seen-head" }, make("strong", {}, "Seen"), by), this.unit, this.numbers, this.legend, this.sectors, this.sum, this.found);
     byId("show-seen").addEventListener("click", () => this.turn(!this.isOn));
     map.on("click", (event) => this.clicked(event));
   }
@@ -47,13 +58,16 @@ export class SeenLayer {
     this.found.replaceChildren(make("span", { class: "muted" }, "Click the map: the pictures that show the place."));
     if (on) { this.drawLegend(); void this.look(); return; }
     this.shownKey = "";
+    this.outline([]);
     if (this.map.getLayer(NAME) !== undefined) this.map.removeLayer(NAME);
     if (this.map.getSource(NAME) !== undefined) this.map.removeSource(NAME);
   }
 
   private drawLegend(): void {
     const isLive = this.state.server?.is_live === true;
-    setText(this.unit, this.by === "count" ? "Pictures that saw it:" : isLive ? "Last seen, minutes ago:" : "Last seen, minutes before the recording's end:");
+    this.sectors.hidden = this.numbers.hidden = !isFinder(this.by);
+    if (isFinder(this.by)) { this.numbers.replaceChildren(); setText(this.unit, "Would have been found:"); } else this.outline([]);
+    if (!isFinder(this.by)) setText(this.unit, this.by === "count" ? "Pictures that saw it:" : isLive ? "Last seen, minutes ago:" : "Last seen, minutes before the recording's end:");
     this.legend.replaceChildren(...WORDS[this.by].map((text, k) => {
       const swatch = make("i", {});
       swatch.style.background = COLOURS[k]!;
@@ -67,19 +81,49 @@ export class SeenLayer {
     const turn = ++this.asked;
     let pause = LOOK_MS;
     try {
-      const now = await api.seenState();
+      const by = this.by, now = await api.seenState(), detection = isFinder(by) ? await api.seenDetection() : null;
       if (now.ahead !== 0) pause = COUNTING_MS;
       if (!this.isOn || turn !== this.asked) return;
       setText(this.sum, sumText(now));
       this.sum.dataset["ahead"] = String(now.ahead); // what a test may wait for
-      this.draw(now);
+      if (detection !== null && isFinder(by)) {
+        if (!detection.is_current) pause = COMPUTING_MS;
+        this.showNumbers(detection, by);
+      }
+      this.draw(now, detection);
     } catch { /* the page shows that the server does not answer */ }
     if (this.isOn && turn === this.asked) this.timer = window.setTimeout(() => void this.look(), pause);
   }
 
-  private draw(now: SeenState): void {
+  /** Show what is taken for granted and the numbers of each sector. */
+  private showNumbers(now: SeenDetection, by: Finder): void {
+    setText(this.unit, `Would have been found ${now.assumed[by]}.`);
+    const none = now.detection === null ? "not computed yet" : "no picture of a calibrated thermal camera was searched for people";
+    const lines = now.lines[by].length > 0 ? now.lines[by] : [none];
+    if ((now.detection?.unmatched_reports ?? 0) > 0 && by === "machine") lines.push(`not counted: ${now.detection!.unmatched_reports} searched pictures whose ground is not known here`);
+    if (now.trouble !== "") lines.push(now.trouble);
+    this.numbers.replaceChildren(...lines.map((line) => make("li", {}, line)));
+    this.numbers.dataset["current"] = String(now.is_current); // what a test may wait for
+    this.outline(now.sectors);
+  }
+
+  private choose(done: Promise<unknown>): void {
+    done.then(() => this.look(), (error: unknown) => { this.numbers.replaceChildren(make("li", {}, error instanceof Error ? error.message : String(error))); });
+  }
+
+  private outline(sectors: SeenDetection["sectors"]): void {
+    const data = collection(sectors.flatMap(({ name, rings }) => rings.map((ring) => ({ type: "Feature", properties: { name }, geometry: { type: "LineString", coordinates: [...ring, ring[0]!] } }))));
+    const source = this.map.getSource(SECTORS) as GeoJSONSource | undefined;
+    if (source !== undefined) { source.setData(data); return; }
+    if (sectors.length === 0) return;
+    this.map.addSource(SECTORS, { type: "geojson", data });
+    this.map.addLayer({ id: SECTORS, type: "line", source: SECTORS, paint: { "line-color": "#d0021b", "line-width": 2 } }, ABOVE);
+  }
+
+  private draw(now: SeenState, detection: SeenDetection | null): void {
     // Of a live flight the colours age: they are rendered again from time to time.
-    const key = `${this.by}&v=${now.version}${now.is_live ? `.${Math.floor(Date.now() / 30_000)}` : ""}`;
+    const version = detection?.version ?? `${now.version}${now.is_live ? `.${Math.floor(Date.now() / 30_000)}` : ""}`;
+    const key = `${this.by}&v=${version}`;
     if (key === this.shownKey) return;
     this.shownKey = key;
     const tiles = [`${location.origin}/api/seen/tiles/{z}/{x}/{y}?by=${key}`];

@@ -132,6 +132,15 @@ export interface SeenState {
   is_live: boolean; left_out: number; is_full: boolean; trouble: string;
 }
 
+export type Finder = "machine" | "operator";
+
+/** Who would have been found: of each finder its assumption and a line for each sector; `detection` null until computed. */
+export interface SeenDetection {
+  version: string; is_current: boolean; assumed: Record<Finder, string>; lines: Record<Finder, string[]>;
+  detection: { searched_pictures: number; unmatched_reports: number } | null;
+  sectors: { name: string; rings: [number, number][][] }[]; trouble: string;
+}
+
 export interface SeenPicture { vehicle: string; session: number; frame: number; capture_unix_ns: string; gsd_m: number }
 
 export interface SeenAt {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import xml.etree.ElementTree as ET
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -38,7 +39,15 @@ class Woods:
 
 def read_sectors(path: Path) -> list[Sector]:
     """The areas of a GeoJSON or KML file, each with its name, else with its number. Raises InputError, in a line."""
-    found = _read(path, "--polygon", ".kml")
+    return _sectors(_read(path, "--polygon", ".kml"))
+
+
+def sectors_of(name: str, data: bytes) -> list[Sector]:
+    """The same of a file's name and content. Raises InputError, in a line."""
+    return _sectors(_areas(name, data, ".kml"))
+
+
+def _sectors(found: Sequence[_Area]) -> list[Sector]:
     return [Sector(_name(about) or str(number), rings) for number, (about, rings) in enumerate(found, 1)]
 
 
@@ -61,15 +70,20 @@ def _read(path: Path, option: str, xml: str = "") -> list[_Area]:
         data = path.read_bytes()
     except OSError as error:
         raise InputError(f"{option} {path}: {error.strerror}") from error
+    return _areas(f"{option} {path}", data, xml)
+
+
+def _areas(name: str, data: bytes, xml: str) -> list[_Area]:
+    """The areas of a file's content, by how its name ends."""
     try:
-        found = _placemarks(data) if xml and path.suffix.lower() == xml else _features(_json(data))
+        found = _placemarks(data) if xml and name.lower().endswith(xml) else _features(_json(data))
     except InputError as error:
-        raise InputError(f"{option} {path}: {error}") from error
+        raise InputError(f"{name}: {error}") from error
     found = [area for area in found if area[1]]
     if not found:
-        raise InputError(f"{option} {path}: holds no Polygon")
+        raise InputError(f"{name}: holds no Polygon")
     if sum(len(ring) for _, rings in found for ring in rings) > MOST_CORNERS:
-        raise InputError(f"{option} {path}: more than {MOST_CORNERS} corners")
+        raise InputError(f"{name}: more than {MOST_CORNERS} corners")
     return found
 
 

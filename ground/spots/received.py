@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import threading
+from collections import deque
 from collections.abc import Iterable
+from dataclasses import replace
 
 from contract.spot import SpotReport
 from contract.wire.message import SPOT_REPORTS
@@ -11,6 +13,8 @@ from ground.report_view import ReportView
 from ground.spots.fire import Fire, FireGround
 from ground.spots.found_thing import FoundThing
 from ground.spots.merging import SpotMerger
+
+MOST_SEARCHED = 20_000  # pictures of which it is kept who would have been found: an hour at five a second
 
 
 class ReceivedSpots(ReportView[SpotReport]):
@@ -23,6 +27,7 @@ class ReceivedSpots(ReportView[SpotReport]):
         self._fire = FireGround()
         self._changed: dict[int, int] = {}  # by thing, the version at which it changed last
         self._person_found: dict[str, float | None] = {}  # by vehicle, of its newest picture
+        self._searched: deque[SpotReport] = deque(maxlen=MOST_SEARCHED)  # without their spots
         self._shares = 0.0, 0  # sum and number, of all pictures
         self._version = 0
         self._lock = threading.Lock()
@@ -34,6 +39,7 @@ class ReceivedSpots(ReportView[SpotReport]):
                 self._version += 1
                 self._fire.add(report)
                 self._person_found[report.vehicle] = share = report.person_found
+                self._searched.append(replace(report, spots=()))
                 if share is not None:
                     self._shares = self._shares[0] + share, self._shares[1] + 1
                 for thing in self._merger.add(report):
@@ -53,6 +59,11 @@ class ReceivedSpots(ReportView[SpotReport]):
     def pictures(self) -> int:
         with self._lock:
             return self._merger.pictures
+
+    def searched(self) -> list[SpotReport]:
+        """The reports of the newest MOST_SEARCHED pictures, without their spots."""
+        with self._lock:
+            return list(self._searched)
 
     def person_found(self, vehicle: str) -> float | None:
         """The share of the ground of a vehicle's newest picture on which a person would be found; None: not known."""

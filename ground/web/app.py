@@ -41,6 +41,7 @@ def create_app(context: ServerContext, rules: Rules) -> ASGIApp:
         watch = Watch(context)
         yield
         await asyncio.to_thread(watch.close)
+        await asyncio.to_thread(context.found_map.close)
         await asyncio.to_thread(context.seen_map.close)
 
     app = FastAPI(

@@ -19,6 +19,7 @@ from ground.pins.store import PinStore
 from ground.web.clicks import Clicked, Clicker
 from ground.web.crops import Cropper
 from ground.web.events import Hub
+from ground.web.found_map import FoundMap
 from ground.web.pin_json import pin_json, tie_json
 from ground.web.seen_map import SeenMap
 from ground.web.source import Source
@@ -49,6 +50,7 @@ class ServerContext:
         self.places = Places(self.store)
         self.hub = Hub()
         self.seen_map = SeenMap(self.source)
+        self.found_map = FoundMap(self.seen_map, self.source)
         self._cropper = Cropper()
         # By the pin's id: the pin and its place as they were, and their JSON.
         self._texts: dict[str, tuple[Pin, Fused, str]] = {}

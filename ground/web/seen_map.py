@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Sequence
 
+from ground.seen.area import Sector
+from ground.seen.coverage import Coverage, coverage
 from ground.seen.export import time_text
-from ground.seen.pictures import MOST_PICTURES, Shown
+from ground.seen.pictures import MOST_PICTURES, Look, Shown
 from ground.seen.tally import SeenGround, area_m2
 from ground.watched_thread import WatchedThread
 from ground.web.seen_tile import seen_tile
@@ -85,6 +88,20 @@ class SeenMap:
         """A tile of the map as PNG; `by` is "age" or "count"."""
         with self._lock:
             return seen_tile(self._seen, z, x, y, by, self._now_s())
+
+    def looks(self, sectors: Sequence[Sector]) -> tuple[Coverage | None, list[Look]]:
+        """The coverage of the sectors, of none the hull of what was seen, and the looks, both as they are now.
+
+        None where nothing was seen. Raises InputError for sectors that reach too far.
+        """
+        with self._lock:
+            return coverage(self._seen, [sector.rings for sector in sectors] or None), self._seen.looks()
+
+    @property
+    def version(self) -> int:
+        """A number that grows with every change."""
+        with self._lock:
+            return self._seen.version
 
     def at(self, lat_deg: float, lon_deg: float) -> dict[str, object]:
         """The pictures that have seen a place: how many, since when, how finely; and some of them by name."""
