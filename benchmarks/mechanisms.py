@@ -19,10 +19,14 @@ from onboard.estimation import (
     camera_states,
     ground_roughness,
     ground_slope,
+    judge,
     moved_optics,
+    refined_window,
     row_waves,
+    second_solve,
     sliding_window,
     variance_components,
+    weighing,
     window_acceptance,
     window_solver,
 )
@@ -82,20 +86,20 @@ def _declared(problem: Any, first: Any, ground_weight: Any) -> Any:
     return ground_weight
 
 
-def _as_weighed(request: Any, weighed: Any) -> tuple[Any, bool]:
+def _as_weighed(weighed: Any) -> tuple[Any, bool]:
     return weighed.noise, False
 
 
-def _as_used(request: Any, used: Any, weighed: Any) -> tuple[Any, bool]:
+def _as_used(weighed: Any, before: Any, used: Any) -> tuple[Any, bool]:
     return used, False
 
 
-def _no_profile(request: Any, found: Any) -> tuple[Any, None]:
+def _no_profile(keyframes: Any, found: Any) -> tuple[Any, None]:
     return found, None
 
 
-def _no_zoom(window: Any, weighed: Any) -> tuple[moved_optics.Excess, moved_optics.Excess]:
-    nothing = moved_optics.Excess(0.0, 1, 1.0)
+def _no_zoom(weighed: Any) -> tuple[judge.Excess, judge.Excess]:
+    nothing = judge.Excess(0.0, 1, 1.0)
     return nothing, nothing
 
 
@@ -115,12 +119,12 @@ MECHANISMS = (
     Mechanism(
         "stamp jitter",
         "stamps are off by what is declared, and pixels by what they show, (6.7)",
-        ((window_solver, "_reweighed", _as_weighed),),
+        ((weighing, "_reweighed", _as_weighed),),
     ),
     Mechanism(
         "second weighing",
         "a window is weighted by what earlier ones found, not by its own residuals, (13.2)",
-        ((window_solver, "_with_own_evidence", _as_used),),
+        ((weighing, "_with_own_evidence", _as_used),),
     ),
     Mechanism(
         "re-estimated prior",
@@ -132,9 +136,9 @@ MECHANISMS = (
         "a window counts for what its covariance claims, (6.13)",
         ((boresight.Alignment, "_agreed", _as_claimed),),
     ),
-    Mechanism("sensor groups", "no sensor is found to fail", ((window_solver, "failing_groups", _held),)),
+    Mechanism("sensor groups", "no sensor is found to fail", ((weighing, "failing_groups", _held),)),
     Mechanism(
-        "wrong tracks", "of a track with many outliers the rest is kept", ((window_solver, "MIN_TRACK_INLIERS", 0.0),)
+        "wrong tracks", "of a track with many outliers the rest is kept", ((second_solve, "MIN_TRACK_INLIERS", 0.0),)
     ),
     Mechanism(
         "ground slope",
@@ -165,7 +169,7 @@ MECHANISMS = (
         "windows are not compared by points seen again",
         ((window_acceptance.Memory, "compared", gives(None)),),
     ),
-    Mechanism("ground motion", "the ground stands still", ((window_solver, "ground_sigma_m_s", gives(0.0)),)),
+    Mechanism("ground motion", "the ground stands still", ((refined_window, "ground_sigma_m_s", gives(0.0)),)),
     Mechanism(
         "zoom",
         "no zoom is looked for",

@@ -29,9 +29,10 @@ from onboard.estimation.factors import (
     gauss_markov_sqrt_information,
 )
 from onboard.estimation.platform_states import BORESIGHT, DELAY, HEADING, OFFSET, STATES
+from onboard.estimation.refined_window import MIN_PIXEL_SIGMA_PX
+from onboard.estimation.second_solve import solve_again
 from onboard.estimation.sensor_factors import cosine_sine_of_heading
 from onboard.estimation.window_problem import approximate
-from onboard.estimation.window_solver import MIN_PIXEL_SIGMA_PX, refine
 from onboard.estimation.window_start import MIN_PARALLAX_RAD, START_SIGMAS, orient
 from onboard.geometry.plane_fit import fit_plane
 from onboard.geometry.terrain_grid import Terrain
@@ -264,7 +265,7 @@ def _sensors(
 
 
 def begin(flight: Flight) -> State | None:
-    """The solver's first state, from measurements alone, as in `window_solver`; None if no orientation is found."""
+    """The solver's first state, from measurements alone, as in `window_problem`; None if no orientation is found."""
     xy, seen = flight.problem.xy, flight.seen
     if flight.R_enu_cam_measured is not None:
         R = flight.R_enu_cam_measured.transpose(0, 2, 1)
@@ -293,10 +294,10 @@ def begin(flight: Flight) -> State | None:
 
 
 def estimate(flight: Flight, state: State) -> tuple[Solution, Array]:
-    """The two solves of `window_solver`, and the weights (K, P) kept; ValueError if all was cut as outliers."""
+    """The two solves of `stages`, and the weights (K, P) kept; ValueError if all was cut as outliers."""
     problem = flight.problem
     least = MIN_PIXEL_SIGMA_PX / max(flight.setting.pixel_sigma_px, MIN_PIXEL_SIGMA_PX)
-    adjusted = refine(problem, approximate(problem, state), least, CAMERA)
+    adjusted = solve_again(problem, approximate(problem, state), least, CAMERA)
     if adjusted is None:
         raise ValueError("nothing of the flight is left to solve")
     return adjusted.solution, adjusted.kept

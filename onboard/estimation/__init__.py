@@ -23,6 +23,6 @@ Public:
 - `solver_executor`: `Inline`, `Promise`, `Worker`, `timed_adjust`
 - `sensor_table`: `PARTS`, `configured`
 - `variance_components`: `VarianceFactors`
-- `window_problem`: `MIN_KEYFRAMES`
-- `window_request`: `Noise`, `Outcome`, `Request`
+- `window_problem`: `MIN_KEYFRAMES`, `Outcome`
+- `window_request`: `Noise`, `Request`
 """

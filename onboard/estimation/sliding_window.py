@@ -27,12 +27,13 @@ from onboard.estimation.information import Information, with_marginal
 from onboard.estimation.keyframe import Keyframe, Observation, seen_with, stamp_sigma_s, with_attitude
 from onboard.estimation.moved_optics import MOVED
 from onboard.estimation.platform_states import DELAY, OFFSET, PLANE, STATES
-from onboard.estimation.second_start import by_attitude
 from onboard.estimation.sensor_factors import level_sigma, with_delays_held_open
+from onboard.estimation.sensor_orientation import by_attitude
 from onboard.estimation.shared_errors import SensorPose, make_sensor_pose
 from onboard.estimation.solved_window import Solved
 from onboard.estimation.window_acceptance import MIN_POINTS, Memory
-from onboard.estimation.window_request import Noise, Outcome, Request
+from onboard.estimation.window_problem import Outcome
+from onboard.estimation.window_request import Noise, Request
 from onboard.estimation.window_solver import adjust
 from onboard.estimation.window_start import follow, start_tolerance_rad
 from onboard.geometry.plane_homography import Pose

@@ -11,7 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-from onboard.estimation.window_request import Outcome, Request
+from onboard.estimation.window_problem import Outcome
+from onboard.estimation.window_request import Request
 from onboard.estimation.window_solver import adjust
 
 

@@ -32,6 +32,7 @@ MAX_FIT_SIGMAS = 4.0  # median residual, in configured pixel sigmas, above which
 MAX_DEPTH_SIGMA = 0.15  # relative; above it the scene has too little parallax
 MAX_PRIOR_SIGMAS = 3.5  # root mean square of a sensor's whitened residuals that a true solution may show
 MAX_GROUND_SLOPE = 1.0
+MAX_ROTATION_SIGMA_DEG = 20.0  # above it a turn's second order, which no covariance has, is a fifth of its first
 MIN_AHEAD = 0.9  # of the measurements: of points below the camera and in front of it
 MIN_DEPTH_SHARE = 0.05  # of the median depth: a point nearer than this is as good as behind the camera
 # Slow error of a velocity that no residual of the window uses: recorded autopilots in turns.
@@ -73,6 +74,12 @@ def share_below(state: State, seen: Mask) -> float:
     """The share of measurements, `seen` (K, P), whose point is below its view."""
     below = state.points_enu_m[:, 2] < state.centres_enu_m[:, None, 2]
     return float(np.count_nonzero(below & seen)) / max(float(np.count_nonzero(seen)), 1.0)
+
+
+def heading_unknown(turn_deg: float) -> str:
+    """The reason for refusing a window whose rotation has so large a sigma, and what to do."""
+    known = f"to {min(turn_deg, 180.0):.0f} degrees only"
+    return f"heading hardly known: {known}, fly a straight leg, or send the attitude"
 
 
 def by_itself(

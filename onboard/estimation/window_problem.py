@@ -1,4 +1,4 @@
-"""A window's adjustment as the solver needs it: everything that does not change while its weights are found."""
+"""A window as the solver needs it: the problem, which stays while weights are found, a first solve, the outcome."""
 
 from __future__ import annotations
 
@@ -15,11 +15,13 @@ from onboard.estimation.bundle_adjustment import Problem, Solution, parallax_of,
 from onboard.estimation.factors import RATES, WAVES, Layout, Prior, State, ground_plane
 from onboard.estimation.image_blocks import OPEN
 from onboard.estimation.keyframe import Ids, Keyframe
+from onboard.estimation.reobservation import Agreement
 from onboard.estimation.rolling_shutter import Sweep
 from onboard.estimation.row_waves import Waves
 from onboard.estimation.sensor_factors import Sensors, range_prior
+from onboard.estimation.solved_window import Solved
 from onboard.estimation.window_acceptance import MIN_POINTS
-from onboard.estimation.window_request import Noise, Outcome, Request, Weighed
+from onboard.estimation.window_request import Noise, Request
 from onboard.geometry.plane_fit import fit_plane
 
 Array = NDArray[np.float64]
@@ -61,7 +63,7 @@ class WindowProblem:
     def weighed(self, noise: Noise, state: State) -> Weighed:
         """The first solve, weighted by this noise, from a state."""
         problem = self.problem(noise)
-        return Weighed(noise, problem, approximate(problem, state))
+        return Weighed(self, noise, problem, approximate(problem, state))
 
     def with_block(self, block: str) -> WindowProblem:
         """The same with a block of image states that start at zero; as it is where it has the block."""
@@ -91,21 +93,51 @@ class WindowProblem:
         rows = replace(rows, cycles=waves.cycles, sigma_wave_rad=waves.sigma_rad)
         return self.with_block(WAVES).with_problem(sweep=rows)
 
-    def without_known_ground(self, weighed: Weighed) -> Solution:
-        """The weighed solution with the covariance that it had over ground of which nothing were known. (6.14)"""
-        state = weighed.solution.state
+
+@dataclass(frozen=True, eq=False)
+class Weighed:
+    """The first solve of a window: the window, the noise that weighted it, its problem, and its solution."""
+
+    window: WindowProblem
+    noise: Noise
+    problem: Problem
+    solution: Solution
+
+    def again(self, noise: Noise) -> Weighed:
+        """Solve the window weighted by another noise, from where this solve ended."""
+        return self.window.weighed(noise, self.solution.state)
+
+    def without_known_ground(self) -> Solution:
+        """The solution with the covariance that it had over ground of which nothing were known. (6.14)"""
+        window, state = self.window, self.solution.state
         plane, _ = fit_plane(state.points_enu_m)
-        reference = self.unweighed.reference_enu_m.copy()
+        reference = window.unweighed.reference_enu_m.copy()
         reference[2] = plane[0] + plane[1:] @ reference[:2]
         tilted = np.array([0.0, plane[1], plane[2]])
-        free = self.with_problem(
+        free = window.with_problem(
             priors=[],
             reference_enu_m=reference,
-            ground_weight=_as_declared(self.request.config),
+            ground_weight=_as_declared(window.request.config),
             terrain=None,
             parallax=parallax_of(state.centres_enu_m, reference, tilted),
         )
-        return solve(free.problem(weighed.noise), replace(state, plane=tilted), max_iterations=1)
+        return solve(free.problem(self.noise), replace(state, plane=tilted), max_iterations=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """The result of a request: OK and `solved`, or the reason why there is none; and the noise as estimated again."""
+
+    status: Status
+    keyframes: tuple[Keyframe, ...]
+    noise: Noise
+    solved: Solved | None = None
+    reason: str = ""  # why not, in words
+    weighed: Weighed | None = None  # its first solve, which others are compared with
+    rejected: Solved | None = None  # a solution that only earlier windows speak against
+    agreed: Agreement | None = None  # with an earlier window that shares points and no picture
+    is_minimum: bool = True  # the adjustment reached one
+    lens_moved: float = 0.0  # by about so much of the focal length's logarithm within the window
 
 
 def _as_declared(config: Config) -> float:

@@ -1,4 +1,4 @@
-"""Input and output of a window's adjustment: the flight's noise, the request, the outcome."""
+"""Input of a window's adjustment: the flight's noise so far, and the request."""
 
 from __future__ import annotations
 
@@ -8,13 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.camera import Camera
-from contract.feature_set import Status
 from onboard.config.schema import Config
 from onboard.estimation.boresight import PlatformEstimate
-from onboard.estimation.bundle_adjustment import Problem, Solution
 from onboard.estimation.ground_slope import SlopePrior
 from onboard.estimation.keyframe import Keyframe
-from onboard.estimation.reobservation import Agreement
 from onboard.estimation.sensor_groups import Failing
 from onboard.estimation.solved_window import AS_KNOWN, Solved
 from onboard.estimation.variance_components import VarianceFactors
@@ -58,28 +55,3 @@ class Request:
     memory: Memory = field(default_factory=Memory)
     is_mount_open: bool = False  # it is not known yet whether mount or gimbal carries the camera
     is_oriented: bool = False  # the keyframes' orientations are a start, whatever they came from
-
-
-@dataclass(frozen=True, eq=False)
-class Weighed:
-    """The first solve of a window, its problem, and the noise that it was weighted by."""
-
-    noise: Noise
-    problem: Problem
-    solution: Solution
-
-
-@dataclass(frozen=True, eq=False)
-class Outcome:
-    """The result of a request: OK and `solved`, or the reason why there is none; and the noise as estimated again."""
-
-    status: Status
-    keyframes: tuple[Keyframe, ...]
-    noise: Noise
-    solved: Solved | None = None
-    reason: str = ""  # why not, in words
-    weighed: Weighed | None = None  # its first solve, which others are compared with
-    rejected: Solved | None = None  # a solution that only earlier windows speak against
-    agreed: Agreement | None = None  # with an earlier window that shares points and no picture
-    is_minimum: bool = True  # the adjustment reached one
-    lens_moved: float = 0.0  # by about so much of the focal length's logarithm within the window

@@ -8,7 +8,7 @@ from onboard.estimation.clock_profile import ClockProfile, clock_profile, offset
 from onboard.estimation.keyframe import stamp_sigma_s
 from onboard.estimation.platform_states import OFFSET
 from onboard.estimation.sliding_window import Window
-from onboard.estimation.window_request import Outcome
+from onboard.estimation.window_problem import Outcome
 from onboard.geometry.robust import middle
 from onboard.navigation.navigator import Navigation
 from onboard.vision.klt_tracker import Tracks

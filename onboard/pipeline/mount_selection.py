@@ -26,7 +26,8 @@ from contract.rotations import log_so3
 from onboard.estimation.keyframe import turned
 from onboard.estimation.sliding_window import Window
 from onboard.estimation.solver_executor import Promise, Worker, timed_adjust
-from onboard.estimation.window_request import Noise, Outcome, Request
+from onboard.estimation.window_problem import Outcome
+from onboard.estimation.window_request import Noise, Request
 from onboard.geometry.plane_homography import Pose, predict_pixels
 from onboard.navigation.gimbal import MountHypothesis
 from onboard.navigation.limits import MOST_OF

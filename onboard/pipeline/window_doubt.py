@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from contract.feature_set import Status
 from onboard.estimation.solved_window import Solved
-from onboard.estimation.window_request import Outcome
+from onboard.estimation.window_problem import Outcome
 from onboard.navigation.limits import LONG_NS, MOST_OF
 
 Array = NDArray[np.float64]

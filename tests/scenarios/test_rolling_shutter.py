@@ -103,8 +103,8 @@ def test_a_vibration_is_no_reason_to_look_for_optics_that_moved(monkeypatch: pyt
     """Rows that swing part pictures as a zoom may: for it 19 of 28 windows were adjusted, before waves came first."""
     flight = VibratingFlight(SampledSpec(ROLLING, seconds=16.0, rate_hz=2.0, path=TURNS, readout_s=0.03), 3)
     looked_for: list[int] = []
-    plain = moved_optics.Hypotheses
-    monkeypatch.setattr(moved_optics, "Hypotheses", lambda *given: looked_for.append(1) or plain(*given))
+    plain = moved_optics.open_optics
+    monkeypatch.setattr(moved_optics, "open_optics", lambda weighed: looked_for.append(1) or plain(weighed))
     sets, pipeline = fly(flight)
     assert pipeline.summary.keyframes > 20
     assert sum(s.is_ok for s in sets.values()) > 0.9 * len(sets)

@@ -15,7 +15,7 @@ from contract.locate import Locator
 from contract.rotations import exp_so3, log_so3
 from contract.wire.codec import decode, encode
 from onboard.config.schema import parse_config
-from onboard.estimation import window_solver
+from onboard.estimation import second_solve, stages
 from onboard.estimation.bundle_adjustment import Problem, solve
 from onboard.estimation.error_budget import nearest_root, sources
 from onboard.estimation.factors import AttitudePrior, PositionPrior, Prior, SharedPrior, State, VelocityPrior
@@ -54,17 +54,17 @@ def flown() -> Flown:
     pipeline = Pipeline(config, flight.spec.camera)
     pipeline.tracker = SampledTracker(flight)
     problems: dict[int, Problem] = {}
-    refine = window_solver.refine
+    solve_again = stages.solve_again
 
-    def kept(problem: Problem, *rest: object) -> window_solver.Adjusted | None:
-        out = refine(problem, *rest)  # type: ignore[arg-type]
+    def kept(problem: Problem, *rest: object) -> second_solve.Adjusted | None:
+        out = solve_again(problem, *rest)  # type: ignore[arg-type]
         if out is not None:
             problems[id(out.solution)] = replace(problem, weight=out.kept / out.own)
         return out
 
     placed: list[Placed] = []
     pipeline.placing.watches.append(placed.append)
-    with mock.patch.object(window_solver, "refine", kept):
+    with mock.patch.object(stages, "solve_again", kept):
         for event in flight.events():
             pipeline.handle(event)
         pipeline.finish()

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from contract.feature_set import Status
-from onboard.estimation import window_solver
+from onboard.estimation import second_solve, weighing
 from onboard.estimation.bundle_adjustment import Problem, solve
 from onboard.estimation.factors import State
 from onboard.estimation.keyframe import observation
+from onboard.estimation.second_solve import lie_near
 from onboard.estimation.sliding_window import Window
-from onboard.estimation.window_solver import lie_near
 from tests.onboard.scenes import CAMERA, FULL, Scene, SceneSpec, bundle_problem, draw
 from tests.rest_long import rest_long
 
@@ -69,7 +69,8 @@ def test_a_window_with_specks_claims_no_place_that_its_gps_does_not_give(seed: i
 
 def test_specks_do_reach_the_camera(monkeypatch: pytest.MonkeyPatch) -> None:
     """Else the test above shows nothing: without the check one of them stays, next to the camera."""
-    monkeypatch.setattr(window_solver, "lie_near", lambda state, weight: np.zeros(len(state.points_enu_m), bool))
+    for module in (second_solve, weighing):
+        monkeypatch.setattr(module, "lie_near", lambda state, weight: np.zeros(len(state.points_enu_m), bool))
     nearest_m = []
     for seed in range(6):
         scene = draw(np.random.default_rng(seed), FULL, CLIMB)

@@ -23,7 +23,7 @@ from onboard.estimation.sliding_window import Window
 from onboard.estimation.solved_window import Solved
 from onboard.estimation.variance_components import VarianceFactors
 from onboard.estimation.window_acceptance import Memory, by_memory
-from onboard.estimation.window_request import Outcome
+from onboard.estimation.window_problem import Outcome
 from onboard.geometry.plane_homography import Pose
 from onboard.georeferencing.feature_sets import Origin, Picture, Placed, place
 from simulation.paths import PathSpec

@@ -8,14 +8,18 @@ from numpy.typing import NDArray
 
 from contract.feature_set import Status
 from contract.rotations import log_so3
-from onboard.estimation import second_start, window_start
+from onboard.estimation import judge, turn_profile, window_start
 from onboard.estimation.bundle_adjustment import Solution
+from onboard.estimation.explanations import other_starts
 from onboard.estimation.factors import AttitudePrior
+from onboard.estimation.judge import is_far_worse, likelier
 from onboard.estimation.keyframe import turned
-from onboard.estimation.second_start import by_profile, is_far_worse, likelier, other_starts, weakest_turn
+from onboard.estimation.stages import adjusted, from_one_start
+from onboard.estimation.turn_profile import by_profile, weakest_turn
 from onboard.estimation.window_acceptance import by_itself
-from onboard.estimation.window_request import Outcome, Request
-from onboard.estimation.window_solver import _adjusted, adjust
+from onboard.estimation.window_problem import Outcome
+from onboard.estimation.window_request import Request
+from onboard.estimation.window_solver import adjust
 from tests.onboard.scenes import SEED_SENSORS, Scene, SceneSpec, draw
 from tests.rest_long import rest_long
 
@@ -34,15 +38,15 @@ def turn_deg(scene: Scene, outcome: Outcome) -> float:
 
 def begun_mirrored(request: Request) -> Request:
     """As a window that inherits the mirrored orientation."""
-    start = next(other_starts(request, _adjusted(request)))
-    return replace(request, keyframes=start, is_oriented=True)
+    start = next(other_starts(request, from_one_start(request)))
+    return replace(request, keyframes=start.window.keyframes, is_oriented=True)
 
 
 @pytest.mark.parametrize("seed", rest_long([0, 1, 2]))
 def test_a_climb_that_begins_with_the_mirrored_orientation_ends_with_the_true_one(seed: int) -> None:
     scene = draw(np.random.default_rng(seed), SEED_SENSORS, CLIMB)
     wrong = begun_mirrored(scene.window().prepare())
-    alone = _adjusted(wrong)
+    alone = from_one_start(wrong)
     assert alone.status is not Status.OK or turn_deg(scene, alone) > 100.0
     outcome = adjust(wrong)
     assert outcome.status is Status.OK
@@ -74,7 +78,7 @@ def test_level_flight_is_compared_with_nothing_once_an_earlier_window_confirms_i
     window.adopt(first)
     again = window.prepare()
     assert first.status is Status.OK and again.memory.windows
-    assert not list(other_starts(again, _adjusted(again)))
+    assert not list(other_starts(again, from_one_start(again)))
 
 
 def test_a_solution_that_bends_the_path_away_from_gps_is_compared_all_the_same() -> None:
@@ -83,7 +87,7 @@ def test_a_solution_that_bends_the_path_away_from_gps_is_compared_all_the_same()
     window = scene.window()
     window.adopt(adjust(window.prepare()))
     again = window.prepare()
-    found = _adjusted(again)
+    found = from_one_start(again)
     for bent_m, starts in ((0.5, 0), (10.0, 1)):
         assert found.solved is not None
         solution = found.solved.solution
@@ -97,61 +101,62 @@ def test_of_two_solutions_the_less_noisy_ones_weights_decide_and_not_each_ones_o
     """A window's cost by its own weights was 571 or 194 by nothing but the noise that its start needed."""
     scene = draw(np.random.default_rng(0), SEED_SENSORS, CLIMB)
     request = scene.window().prepare()
-    true = _adjusted(request)
+    true = from_one_start(request)
     assert true.solved is not None and true.weighed is not None
     excused = replace(request, noise=replace(request.noise, noise_inflation=2.0))
-    wrong = _adjusted(replace(begun_mirrored(request), noise=excused.noise))
+    wrong = from_one_start(replace(begun_mirrored(request), noise=excused.noise))
     assert wrong.weighed is not None
     assert wrong.weighed.solution.cost < true.weighed.solution.cost + 50.0  # by its own weights it seems to fit
     wrong = replace(wrong, status=Status.OK, solved=true.solved)
-    assert likelier(request, true, wrong) is true
-    assert likelier(request, wrong, true) is true
+    assert likelier(request.keyframes, true, wrong) is true
+    assert likelier(request.keyframes, wrong, true) is true
     refused = replace(true, status=Status.POOR_FIT, solved=None)  # the likelier one is judged, whatever of it
-    assert likelier(request, wrong, refused) is refused
+    assert likelier(request.keyframes, wrong, refused) is refused
     worse = replace(wrong, status=Status.POOR_FIT, solved=None)
-    assert likelier(request, true, worse) is true
+    assert likelier(request.keyframes, true, worse) is true
     # What has not converged may fall yet, and nothing stands against it.
-    assert likelier(request, true, replace(worse, is_minimum=False)).status is Status.LOW_PARALLAX
-    assert likelier(request, replace(worse, is_minimum=False), true).status is Status.LOW_PARALLAX
+    assert likelier(request.keyframes, true, replace(worse, is_minimum=False)).status is Status.LOW_PARALLAX
+    assert likelier(request.keyframes, replace(worse, is_minimum=False), true).status is Status.LOW_PARALLAX
 
 
 def test_another_start_is_not_given_up_for_a_cost_that_may_fall_yet(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = draw(np.random.default_rng(0), SEED_SENSORS, CLIMB)
     request = scene.window().prepare()
-    true, wrong = _adjusted(request), begun_mirrored(request)
+    true = from_one_start(request)
+    wrong = next(other_starts(request, true))
     assert is_far_worse(true, wrong)
-    minimum = second_start.approximate
-    monkeypatch.setattr(second_start, "approximate", lambda *at: replace(minimum(*at), converged=False))
+    minimum = judge.approximate
+    monkeypatch.setattr(judge, "approximate", lambda *at: replace(minimum(*at), converged=False))
     assert not is_far_worse(true, wrong)
 
 
 def test_one_minimum_that_is_found_twice_is_no_reason_to_refuse() -> None:
     scene = draw(np.random.default_rng(0), SEED_SENSORS, CLIMB)
     request = scene.window().prepare()
-    first = _adjusted(request)
+    first = from_one_start(request)
     nudged = turned(request.keyframes, [k.R_cam_enu for k in first.keyframes])
-    again = _adjusted(replace(request, keyframes=nudged, is_oriented=True))
-    assert likelier(request, first, again) is first
+    again = from_one_start(replace(request, keyframes=nudged, is_oriented=True))
+    assert likelier(request.keyframes, first, again) is first
 
 
 def test_what_fits_as_well_but_is_known_too_badly_to_be_published_is_not_refuted() -> None:
     """Turned by 171 degrees, known to 19.5; the true one, whose cost is lower, to 20.3. Nothing decides."""
     scene = draw(np.random.default_rng(0), SEED_SENSORS, STRAIGHT_UP)
     request = scene.window().prepare()
-    wrong = _adjusted(request)
+    wrong = from_one_start(request)
     assert wrong.status is Status.OK and turn_deg(scene, wrong) > 150.0
-    true = _adjusted(replace(request, keyframes=next(other_starts(request, wrong)), is_oriented=True))
+    true = adjusted(next(other_starts(request, wrong)).window)
     assert true.status is Status.LOW_PARALLAX and true.is_minimum
     assert true.weighed is not None and wrong.weighed is not None
     assert true.weighed.solution.cost < wrong.weighed.solution.cost
     for outcomes in ((true, wrong), (wrong, true)):
-        assert "two orientations" in likelier(request, *outcomes).reason
+        assert "two orientations" in likelier(request.keyframes, *outcomes).reason
     contradicted = replace(true, status=Status.POOR_FIT)
-    assert likelier(request, wrong, contradicted) is wrong
+    assert likelier(request.keyframes, wrong, contradicted) is wrong
     # But one that fits better by (16.8) stands against it: a climb at 1.5 m/s was not answered at all otherwise.
     better = replace(true, status=Status.OK, solved=wrong.solved)
     worse = replace(wrong, status=true.status, solved=None)
-    assert likelier(request, worse, better) is better and likelier(request, better, worse) is better
+    assert likelier(request.keyframes, worse, better) is better and likelier(request.keyframes, better, worse) is better
 
 
 @pytest.mark.parametrize(("risen", "widened"), [(15.0, 1.0), (6.0, None), (-1.0, None)])
@@ -164,7 +169,7 @@ def test_a_heading_all_round_counts_unless_it_is_clearly_unlikelier(
     """
     scene = draw(np.random.default_rng(0), SEED_SENSORS, CLIMB)
     request = scene.window().prepare()
-    found = _adjusted(request)
+    found = from_one_start(request)
     assert found.solved is not None and found.weighed is not None
     sigma_rad = weakest_turn(found.solved)[1]
     best = found.weighed.solution
@@ -175,8 +180,8 @@ def test_a_heading_all_round_counts_unless_it_is_clearly_unlikelier(
         cost = risen if 3.0 < angle_rad < 3.5 else (1.0 - np.cos(angle_rad)) / sigma_rad**2
         return replace(best, cost=best.cost + cost)
 
-    monkeypatch.setattr(second_start, "_held", held)
-    judged, lower = by_profile(request, found)
+    monkeypatch.setattr(turn_profile, "_held", held)
+    judged, lower = by_profile(request.keyframes, found)
     assert (lower is not None) == (risen < 0.0)
     if widened is None:
         assert judged.status is Status.LOW_PARALLAX and "heading hardly known" in judged.reason
@@ -197,7 +202,7 @@ def test_without_attitude_a_solution_from_the_path_alone_needs_confirmation(monk
 def test_a_refusal_without_attitude_does_not_speak_of_attitude() -> None:
     scene = draw(np.random.default_rng(0), SEED_SENSORS, SceneSpec())
     request = scene.window().prepare()
-    outcome = _adjusted(request)
+    outcome = from_one_start(request)
     assert outcome.solved is not None and outcome.weighed is not None
     solved, priors = outcome.solved, outcome.weighed.problem.priors
     kept = np.isfinite(solved.solution.residual_sigmas).astype(float)

@@ -8,9 +8,11 @@ import pytest
 from contract.feature_set import Status
 from contract.rotations import exp_so3
 from onboard.estimation.bundle_adjustment import image_residuals
-from onboard.estimation.second_start import TurnPrior, by_profile, turned_as_one, weakest_turn
-from onboard.estimation.window_request import Outcome, Request
-from onboard.estimation.window_solver import _adjusted, adjust
+from onboard.estimation.stages import from_one_start
+from onboard.estimation.turn_profile import TurnPrior, by_profile, turned_as_one, weakest_turn
+from onboard.estimation.window_problem import Outcome
+from onboard.estimation.window_request import Request
+from onboard.estimation.window_solver import adjust
 from tests.onboard.scenes import FULL, SEED_SENSORS, SceneSpec, bundle_problem, draw
 
 CLIMB = SceneSpec(climb_m_s=2.5, speed_m_s=2.0, height_m=60.0, wobble_deg=5.0, relief_sigma_m=3.0)
@@ -18,7 +20,7 @@ CLIMB = SceneSpec(climb_m_s=2.5, speed_m_s=2.0, height_m=60.0, wobble_deg=5.0, r
 
 def first_solve(spec: SceneSpec, seed: int = 0) -> tuple[Request, Outcome]:
     request = draw(np.random.default_rng(seed), SEED_SENSORS, spec).window().prepare()
-    return request, _adjusted(request)
+    return request, from_one_start(request)
 
 
 def test_the_held_turns_derivative_is_that_of_its_residual() -> None:
@@ -40,11 +42,11 @@ def test_the_held_turns_derivative_is_that_of_its_residual() -> None:
 def test_level_flight_and_flight_with_attitude_are_left_as_they_are() -> None:
     request, outcome = first_solve(SceneSpec())
     assert outcome.status is Status.OK
-    assert by_profile(request, outcome) == (outcome, None)
+    assert by_profile(request.keyframes, outcome) == (outcome, None)
     with_attitude = draw(np.random.default_rng(0), FULL, CLIMB).window().prepare()
-    outcome = _adjusted(with_attitude)
+    outcome = from_one_start(with_attitude)
     assert outcome.status is Status.OK
-    assert by_profile(with_attitude, outcome) == (outcome, None)
+    assert by_profile(with_attitude.keyframes, outcome) == (outcome, None)
 
 
 def test_in_a_climb_the_heading_about_the_path_is_what_is_known_least() -> None:
@@ -60,10 +62,10 @@ def test_variances_that_are_too_small_are_given_back_what_they_lack(seed: int) -
     request, outcome = first_solve(replace(CLIMB, speed_m_s=0.7), seed)
     assert outcome.solved is not None
     assert 13.4 < np.degrees(weakest_turn(outcome.solved)[1]) < 20.0
-    true = by_profile(request, outcome)[0].solved
+    true = by_profile(request.keyframes, outcome)[0].solved
     narrowed = replace(outcome.solved.solution)
     narrowed.__dict__["covariance"] = 0.25 * outcome.solved.solution.covariance
-    again = by_profile(request, replace(outcome, solved=replace(outcome.solved, solution=narrowed)))[0].solved
+    again = by_profile(request.keyframes, replace(outcome, solved=replace(outcome.solved, solution=narrowed)))[0].solved
     assert true is not None and again is not None
     assert 1.0 <= true.variance_factor < 1.7
     assert 0.75 < again.variance_factor / (4.0 * true.variance_factor) < 1.33
@@ -72,7 +74,7 @@ def test_variances_that_are_too_small_are_given_back_what_they_lack(seed: int) -
 def test_a_valley_with_another_bottom_is_refused_however_narrow_this_one_is() -> None:
     request, outcome = first_solve(replace(CLIMB, speed_m_s=1.0), seed=0)
     assert outcome.solved is not None and np.degrees(weakest_turn(outcome.solved)[1]) < 17.0
-    refused, _ = by_profile(request, outcome)
+    refused, _ = by_profile(request.keyframes, outcome)
     assert refused.status is Status.LOW_PARALLAX and refused.solved is None and "heading" in refused.reason
 
 

@@ -10,14 +10,16 @@ from benchmarks.sampled_flight import SampledFlight, SampledSpec, fly
 from contract.feature_set import Status
 from contract.rotations import exp_so3
 from onboard.config.schema import parse_config
-from onboard.estimation import window_solver
+from onboard.estimation import second_solve
 from onboard.estimation.bundle_adjustment import solve
 from onboard.estimation.clock_profile import ClockProfile
 from onboard.estimation.reobservation import Agreement
 from onboard.estimation.sliding_window import Window
 from onboard.estimation.solved_window import Solved
+from onboard.estimation.stages import from_one_start
 from onboard.estimation.window_acceptance import Memory, by_itself, by_memory
-from onboard.estimation.window_request import Outcome, Request
+from onboard.estimation.window_problem import Outcome
+from onboard.estimation.window_request import Request
 from onboard.estimation.window_solver import adjust
 from onboard.geometry.terrain_grid import Terrain
 from onboard.navigation.position_interpolation import Displacement
@@ -92,7 +94,7 @@ def test_a_window_that_inherits_a_wrong_minimum_is_solved_again_from_attitude() 
     previous = replace(true, solution=replace(true.solution, state=replace(state, points_enu_m=points)))
     keyframes = tuple(replace(k, R_cam_enu=half_turn @ k.R_cam_enu) for k in request.keyframes)
     wrong = replace(request, previous=previous, keyframes=keyframes, memory=Memory())
-    assert window_solver._adjusted(wrong).status is Status.POOR_FIT
+    assert from_one_start(wrong).status is Status.POOR_FIT
     outcome = adjust(wrong)
     assert outcome.status is Status.OK and outcome.solved is not None
     miss = outcome.solved.solution.state.centres_enu_m - state.centres_enu_m
@@ -134,7 +136,7 @@ def test_a_wrong_window_in_mid_flight_is_not_published_and_the_flight_goes_on(mo
 def test_a_window_that_has_not_reached_a_minimum_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two of three such, by camera and GPS, were turned by 176 degrees."""
     request = draw(np.random.default_rng(0), SEED_SENSORS, CALM).window().prepare()
-    monkeypatch.setattr(window_solver, "solve", partial(solve, max_iterations=1))
+    monkeypatch.setattr(second_solve, "solve", partial(solve, max_iterations=1))
     outcome = adjust(request)
     assert outcome.status is Status.POOR_FIT and "no minimum in 1 steps" in outcome.reason
 
