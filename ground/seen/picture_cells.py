@@ -8,6 +8,7 @@ cell must be to have been in view with 90 % certainty.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,7 +102,13 @@ def _view(locator: Locator, plane: GroundPlane, cells: Cells, rows: Index, colum
     )
     ways = corners @ np.asarray(s.R_enu_cam, float)
     to_ray = np.column_stack([(ways[1] - ways[0]) / n, (ways[2] - ways[0]) / n, ways[0]])
-    return PictureView(s.camera, (int(rows[0]), int(columns[0])), to_ray)
+    return PictureView(_kept(s.camera), (int(rows[0]), int(columns[0])), to_ray)
+
+
+@lru_cache(maxsize=64)
+def _kept(camera: Camera) -> Camera:
+    """The first camera that equals this one: each set comes with its own, and views are kept by the ten thousand."""
+    return camera
 
 
 def pixel_of(s: FeatureSet, lat_deg: float, lon_deg: float) -> tuple[float, float] | None:

@@ -13,7 +13,7 @@ from ground.seen.picture_cells import PictureCells, PictureView
 
 Key = tuple[str, int, int]  # vehicle, session, frame
 
-MOST_PICTURES = 20_000  # an hour at five a second; in 2 m cells some 25 MB
+MOST_PICTURES = 20_000  # an hour at five a second; in 2 m cells some 35 MB
 RUN = np.dtype([("row", "i4"), ("first", "i4"), ("last", "i4"), ("gsd_m", "f4"), ("picture", "i4")])
 FIRST_SIZE = 4096
 
