@@ -2,6 +2,7 @@
 
 import json
 import re
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -17,6 +18,7 @@ from onboard.calibration.intrinsics import MODELS, Model, View, calibrate, fit
 from onboard.calibration.verdict import coverage_picture, judge
 from onboard.commands.calibrate import Collector, camera_file
 from tests.onboard.calibration.board_pictures import Photographer, Pose, poses_all_over
+from tests.rest_long import rest_long
 
 TRUTH = Camera(640, 480, 560.0, 558.0, 322.3, 236.1, (-0.28, 0.09, 0.0008, -0.0005, 0.0))
 CHARUCO = Board()
@@ -47,10 +49,16 @@ def direction_errors_px(camera: Camera, truth: Camera = TRUTH) -> NDArray[np.flo
     return np.asarray(np.linalg.norm(uv_px - grid, axis=1))
 
 
-def photograph(board: Board, poses: list[Pose], folder: Path) -> None:
+@cache
+def photographs(board: Board) -> list[NDArray[np.uint8]]:
     photographer = Photographer(TRUTH, board)
-    for number, pose in enumerate(poses):
-        Image.fromarray(photographer.photograph(pose)).save(folder / f"{number:02d}.png", compress_level=1)
+    return [photographer.photograph(pose) for pose in poses_all_over(18, 1)]
+
+
+def photograph(board: Board, count: int, folder: Path) -> None:
+    """Save the first `count` of the board's photographs."""
+    for number, picture in enumerate(photographs(board)[:count]):
+        Image.fromarray(picture).save(folder / f"{number:02d}.png", compress_level=1)
 
 
 @pytest.mark.parametrize(
@@ -67,7 +75,7 @@ def test_a_known_camera_is_recovered_from_pictures(
 ) -> None:
     pictures, out = tmp_path / "pictures", tmp_path / "camera.json"
     pictures.mkdir()
-    photograph(board, poses_all_over(18, 1), pictures)
+    photograph(board, 18, pictures)
     assert main(["calibrate", "--pictures", str(pictures), "--out", str(out), *words]) == 0
     camera = Camera.from_json(out)
     assert camera.size_px == (640, 480)
@@ -85,7 +93,7 @@ def test_a_known_camera_is_recovered_from_pictures(
     text = capsys.readouterr().out
     assert "board found in 18 of 18 pictures" in text and "verdict: good" in text
     sampled = np.asarray(Image.open(tmp_path / "camera.coverage.png"))
-    assert sampled.shape[1] == 1280 and len(np.unique(sampled.reshape(-1, 3), axis=0)) > 20
+    assert sampled.shape[1] == 1280 and len(np.unique(sampled.reshape(-1, 3) @ [1 << 16, 1 << 8, 1])) > 20
 
 
 def test_sigmas_are_what_the_errors_are() -> None:
@@ -151,7 +159,7 @@ def test_boards_that_lean_one_way_only_are_advised_the_other() -> None:
 def test_too_few_views_are_refused_and_nothing_is_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pictures, out = tmp_path / "pictures", tmp_path / "camera.json"
     pictures.mkdir()
-    photograph(CHARUCO, poses_all_over(3, 1), pictures)
+    photograph(CHARUCO, 3, pictures)
     Image.new("L", (640, 480), 90).save(pictures / "empty.png")
     assert main(["calibrate", "--pictures", str(pictures), "--out", str(out)]) == 1
     assert not out.exists()
@@ -163,7 +171,7 @@ def test_too_few_views_are_refused_and_nothing_is_written(tmp_path: Path, capsys
 def test_a_bad_calibration_is_written_only_if_insisted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pictures, out = tmp_path / "pictures", tmp_path / "camera.json"
     pictures.mkdir()
-    photograph(CHARUCO, poses_all_over(6, 1), pictures)
+    photograph(CHARUCO, 6, pictures)
     command = ["calibrate", "--pictures", str(pictures), "--out", str(out)]
     assert main(command) == 1
     assert not out.exists()
@@ -183,13 +191,13 @@ def test_a_corner_that_saw_no_board_is_named() -> None:
 
 
 def test_noisy_corners_are_a_high_error() -> None:
-    result = calibrate(seen(poses_all_over(18, 1), noise_px=1.5), TRUTH.size_px)
+    result = calibrate(seen(poses_all_over(12, 1), noise_px=1.5), TRUTH.size_px)
     assert result is not None
-    assert any(text.startswith("high error (2.") for text in judge(*result, TRUTH.size_px, 18).complaints)
+    assert any(text.startswith("high error (2.") for text in judge(*result, TRUTH.size_px, 12).complaints)
 
 
 def test_a_view_that_contradicts_the_others_is_dropped() -> None:
-    views = seen(poses_all_over(18, 1))
+    views = seen(poses_all_over(12, 1))
     moved = views[7].uv_px + np.where(np.arange(len(views[7].uv_px)) % 2, 3.0, -3.0)[:, None]
     views[7] = View("moved", views[7].numbers, moved, views[7].points_m)
     result = calibrate(views, TRUTH.size_px)
@@ -202,10 +210,10 @@ def test_a_view_that_contradicts_the_others_is_dropped() -> None:
 
 def test_a_lens_whose_distortion_folds_is_refused() -> None:
     folding = Camera(640, 480, 460.0, 460.0, 320.0, 240.0, (-0.3, 0.2, 0.0, 0.0, -0.2))
-    result = calibrate(seen(poses_all_over(18, 2, distance_m=0.27), camera=folding), (640, 480))
+    result = calibrate(seen(poses_all_over(12, 2, distance_m=0.27), camera=folding), (640, 480))
     assert result is not None
     assert result[0].rms_px < 0.1
-    assert any("folds within the picture" in text for text in judge(*result, (640, 480), 18).complaints)
+    assert any("folds within the picture" in text for text in judge(*result, (640, 480), 12).complaints)
 
 
 @pytest.mark.parametrize("wide_deg", [105.0, pytest.param(150.0, marks=pytest.mark.long)])
@@ -258,19 +266,19 @@ def poses_all_around(count: int, seed: int, lean_rad: float = 0.35) -> list[Pose
 
 def test_a_wide_pinhole_stays_one() -> None:
     camera = Camera(640, 480, 300.0, 301.0, 320.0, 240.0, (-0.05, 0.004, 0.0, 0.0, 0.0))
-    result = calibrate(seen(poses_all_over(18, 2, distance_m=0.18), camera=camera), (640, 480))
+    result = calibrate(seen(poses_all_over(14, 2, distance_m=0.18), camera=camera), (640, 480))
     assert result is not None and result[0].camera.model == "pinhole"
     assert result[0].why.startswith("pinhole: views held out are")
 
 
-def test_boards_in_the_middle_only_are_never_good_and_leave_a_ray_at_every_pixel() -> None:
+@pytest.mark.parametrize("seed", rest_long(range(5), 2))
+def test_boards_in_the_middle_only_are_never_good_and_leave_a_ray_at_every_pixel(seed: int) -> None:
     poses = [Pose(p.turn_rad, (0.0, 0.0, 0.9)) for p in poses_all_over(12, 4)]
     edge = np.array([(0.0, 0.0), (639.0, 0.0), (0.0, 479.0), (639.0, 479.0), (320.0, 0.0)])
-    for seed in range(5):
-        result = calibrate(seen(poses, noise_px=0.4, seed=seed), TRUTH.size_px)
-        assert result is not None
-        assert np.all(result[0].camera.unproject(edge)[1])
-        assert "not enough coverage" in str(judge(*result, TRUTH.size_px, 12))
+    result = calibrate(seen(poses, noise_px=0.4, seed=seed), TRUTH.size_px)
+    assert result is not None
+    assert np.all(result[0].camera.unproject(edge)[1])
+    assert "not enough coverage" in str(judge(*result, TRUTH.size_px, 12))
 
 
 def test_every_model_is_its_parameters() -> None:
