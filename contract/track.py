@@ -36,7 +36,8 @@ class Unseen(Enum):
     NO_REPORT = "no report"  # the ground has received none for a while
 
 
-REST_M_S = 0.5  # one sigma of a speed, above which a walker could not be distinguished from one at rest
+# One sigma of a speed, or half of a speed, above which a walker could not be distinguished from one at rest.
+REST_M_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,8 @@ class Course:
     def to_text(self) -> str:
         """The speed and course in words."""
         if self.course_deg is None or self.sigma_course_deg is None:
-            words = "at rest" if self.sigma_speed_m_s <= REST_M_S else "may move"
+            is_slow = self.speed_m_s + 2.0 * self.sigma_speed_m_s <= 2.0 * REST_M_S
+            words = "at rest" if is_slow else "may move"
             return f"{words} (+-{self.sigma_speed_m_s:.2f} m/s)"
         return (
             f"{self.speed_m_s:.1f} +-{self.sigma_speed_m_s:.1f} m/s towards {self.course_deg:.0f} "

@@ -23,6 +23,7 @@ MOST_AGE_S = 5.0  # of a picture, however long its report was under way
 SILENT_S = 1.0  # without anything new, after which it coasts
 # One sigma of how people, and what they drive, speed up, brake and turn: at rest, and for each m/s that a thing has.
 ACCELERATION_M_S2, TURN_RAD_S = 1.5, 0.15
+MOST_COURSE_DEG = 180.0  # one sigma of a course of which nothing is known
 UNKNOWN_M_S = 12.0  # one sigma of a speed that is not known yet, of either component
 
 
@@ -39,7 +40,8 @@ def as_of(report: TrackReport, age_s: float, silent_s: float, why: Unseen) -> Tr
     aged = replace(report, capture_unix_ns=now_ns, unseen_s=report.unseen_s + age_s)
     if report.state is not TrackState.LOST and silent_s > SILENT_S:
         unseen = report.unseen if report.state is TrackState.COASTING else why
-        aged = replace(aged, state=TrackState.COASTING, unseen=unseen)
+        course = coasting(report.course, report.unseen_s, aged.unseen_s)
+        aged = replace(aged, state=TrackState.COASTING, unseen=unseen, course=course)
     if report.state is TrackState.LOST or report.unseen_s + silent_s > LOST_AFTER_S or age_s > MOST_AGE_S:
         unseen = why if aged.unseen is Unseen.NONE else aged.unseen
         return replace(aged, state=TrackState.LOST, unseen=unseen, place=None, course=None, status=Status.UNCERTAIN)
@@ -51,6 +53,25 @@ def as_of(report: TrackReport, age_s: float, silent_s: float, why: Unseen) -> Tr
 def unforeseen_m2(speed_m_s: float, since_s: float) -> float:
     """Variance, either way, of where a thing of that speed is `since_s` after it was seen, for all that it may do."""
     return 0.25 * (ACCELERATION_M_S2 + TURN_RAD_S * speed_m_s) ** 2 * since_s**4
+
+
+def unforeseen_m2_s2(speed_m_s: float, since_s: float) -> float:
+    """Variance, either way, of the velocity of a thing of that speed `since_s` after it was seen, likewise."""
+    return ((ACCELERATION_M_S2 + TURN_RAD_S * speed_m_s) * since_s) ** 2
+
+
+def coasting(course: Course | None, unseen_s: float, until_s: float) -> Course | None:
+    """A course `until_s` after the last look, of which its sigmas held `unseen_s` after it: it may have set off, or
+    have stopped. (24.27)
+    """
+    if course is None:
+        return None
+    added = unforeseen_m2_s2(course.speed_m_s, until_s) - unforeseen_m2_s2(course.speed_m_s, unseen_s)
+    sigma_m_s, sigma_deg = math.sqrt(course.sigma_speed_m_s**2 + added), course.sigma_course_deg
+    if sigma_deg is not None:
+        sideways = math.hypot(course.speed_m_s * math.radians(sigma_deg), math.sqrt(added))
+        sigma_deg = min(math.degrees(sideways / max(course.speed_m_s, 1e-3)), MOST_COURSE_DEG)
+    return replace(course, sigma_speed_m_s=sigma_m_s, sigma_course_deg=sigma_deg)
 
 
 def _moved(place: Place, course: Course | None, unseen_s: float, age_s: float) -> Place:

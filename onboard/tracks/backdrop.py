@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -83,17 +84,17 @@ class Change:
     shown: NDArray[np.bool_] | None = None
 
 
-def difference(pictures: Pictures, seen: Seen, patch: Patch) -> Change | None:
-    """Return what has changed in a patch. (24.5)
+def difference(pictures: Pictures, seen: Seen, patch: Patch, since: Seen | None = None) -> Change | None:
+    """Return what has changed in a patch, or what has `since` one picture. (24.5)
 
-    None without at least two earlier pictures of the same ground; 0 where pictures do not reach.
+    None without at least two earlier pictures of the same ground, or that one; 0 where pictures do not reach.
     """
-    layers, known = _aligned(pictures, seen, patch)
-    if len(layers) < 2:
+    layers, known = _aligned(pictures, seen, patch, earlier(pictures, seen) if since is None else [since])
+    if len(layers) < (2 if since is None else 1):
         return None
     behind, shown = np.median(layers, axis=0) if len(layers) > 2 else layers[-1], None
     if known is not None:
-        shown = known.sum(axis=0) >= 2
+        shown = known.sum(axis=0) >= min(len(layers), 2)
         middle = np.nanmedian(np.where(known | ~shown, layers, np.nan), axis=0)
         behind = np.where(shown, middle, patch.image).astype(np.float32)
     off = np.abs(patch.image - behind)
@@ -104,7 +105,9 @@ def difference(pictures: Pictures, seen: Seen, patch: Patch) -> Change | None:
     return Change(patch.corner, surely, behind, sigma, shown)
 
 
-def _aligned(pictures: Pictures, seen: Seen, patch: Patch) -> tuple[Image, NDArray[np.bool_] | None]:
+def _aligned(
+    pictures: Pictures, seen: Seen, patch: Patch, others: Sequence[Seen]
+) -> tuple[Image, NDArray[np.bool_] | None]:
     """The patch's ground in earlier pictures (L, S, S), shifted and brightened to fit, and which pixels (L, S, S) both
     pictures have, where not all; those that show most of what the patch has.
     """
@@ -113,7 +116,7 @@ def _aligned(pictures: Pictures, seen: Seen, patch: Patch) -> tuple[Image, NDArr
     corners = np.column_stack([(AROUND + 1.0) * 0.5 * (size - 1), np.ones(4)])
     ways: list[tuple[Seen, Array]] = []
     reached: list[NDArray[np.bool_] | None] = []
-    for other in earlier(pictures, seen):
+    for other in others:
         H = pictures.between(seen, other)
         if H is None:
             continue

@@ -34,6 +34,9 @@ SURE_DIFFERENCE, SURE_LIKENESS, LEAST_LIKENESS = 0.35, 0.8, 0.5
 CHANGED = 0.3  # how surely a pixel must differ to belong to a region that does
 AGAIN_S, LEAST_AGAIN = 0.3, 0.65  # unseen for so long it must look so much as it did: more places are compared
 STOOD_S = 0.5  # at one place, after which what changes there is first of all the ground that it uncovers
+# What must differ within a thing's size about where it stood, for it not to be taken as there: px, and of its area.
+LEFT_PX2, LEFT_SHARE = 1.5, 0.02
+LEFT_REACH_PX = 1.5  # of where it stood: what looks like it so near is the ground about it
 # How near to the picture's edge its middle is still looked for: a share of its size, and px.
 EDGE_SHARE, LEAST_EDGE_PX = 0.5, 3.0
 COURSE_SIGMAS = 4.0  # of the speed, from which a thing is known to turn with its course
@@ -73,7 +76,7 @@ class _Window:
     """The places (N, N, 2), px, in a patch at which it is looked for, N = 2 reach + 1, and what is known of each.
 
     `far`: its squared distance from the prediction over that covariance. `differs`: the sureness that a thing of its
-    size there is something that was not there before; None without `changed`.
+    size there is something that was not there before; None without `changed`. `has_left`: it is not where it stood.
     """
 
     patch: Patch
@@ -82,6 +85,7 @@ class _Window:
     far: Array
     changed: Change | None
     differs: Image | None
+    has_left: bool
 
     def at(self, j: int, i: int) -> NDArray[Any]:
         """Return the pixel (2,) of the patch, column and row, that a place is."""
@@ -107,6 +111,7 @@ class Follower:
         self._spread = USUAL_SPREAD  # of its own grey levels, from picture to picture
         self._rest = self._uv.copy()  # where it is if it has stood since it was last seen to move
         self._stood, self._stood_ns = self._uv.copy(), clicked.stamp_ns if self._stands() else 0  # when it stood last
+        self._as_stood, self._is_gone = clicked, False  # the last picture in which nothing had changed where it stands
         self._remember()
 
     @property
@@ -153,10 +158,11 @@ class Follower:
         patch = cut(seen, self._uv, reach + half + 6)
         changed = difference(self._pictures, seen, patch)
         is_again = self.unseen_s(seen) > AGAIN_S
+        has_left = changed is not None and self._has_left(seen, changed, patch)
         if changed is not None and (self._stands() or is_again) and seen.stamp_ns - self._stood_ns < AGES_S[-1] * 1e9:
             changed = replace(changed, surely=self._without_uncovered(changed.surely, self._stood - patch.corner))
         wanted = Wanted.of(self._looks, half, self._size, self._known_velocity(), self._spread)
-        window = self._window(patch, changed, reach)
+        window = self._window(patch, changed, reach, has_left)
         found = self._best(window, wanted, LEAST_AGAIN if is_again else LEAST_LIKENESS)
         by_look = found is not None
         if found is None:
@@ -179,6 +185,29 @@ class Follower:
     def _stands(self) -> bool:
         """Return whether it has stood for a while, as far as it was seen."""
         return self._last_seen_ns - self._moved_ns >= STOOD_S * 1e9
+
+    def _has_left(self, seen: Seen, changed: Change, patch: Patch) -> bool:
+        """Return whether it is no longer where it stood: that has changed, also since the last picture in which it had
+        not. What has passed before it is none of this: then it looks as it did before. (24.26)
+        """
+        if not self._stands() or (not self._is_gone and self._differs_at_rest(changed) < self._left_px2()):
+            self._as_stood, self._is_gone = seen, False
+            return False
+        since = None if self._as_stood is seen else difference(self._pictures, seen, patch, self._as_stood)
+        self._is_gone = since is None or self._differs_at_rest(since) >= self._left_px2()
+        return self._is_gone
+
+    def _left_px2(self) -> float:
+        return max(LEFT_PX2, LEFT_SHARE * self._size**2)
+
+    def _differs_at_rest(self, changed: Change) -> float:
+        """The area, px2, that surely differs within its size about where it stands."""
+        column, row = self._rest - changed.corner
+        half, (rows, columns) = (
+            max(0.5 * self._size, LEFT_REACH_PX),
+            np.ogrid[: len(changed.surely), : len(changed.surely)],
+        )
+        return float(changed.surely[(np.abs(rows - row) <= half) & (np.abs(columns - column) <= half)].sum())
 
     def _unseen(self, unseen: Unseen) -> Observation:
         sigma = float(np.sqrt(0.5 * np.trace(self._cov[:2, :2])))
@@ -217,18 +246,18 @@ class Follower:
     def _half(self) -> int:
         return int(np.clip(np.ceil(0.75 * self._size), 3, 30))
 
-    def _window(self, patch: Patch, changed: Change | None, reach: int) -> _Window:
+    def _window(self, patch: Patch, changed: Change | None, reach: int, has_left: bool) -> _Window:
         """The places about the middle of a patch, with what is known of each before its look."""
         steps = np.arange(-reach, reach + 1, dtype=float)
         place = np.asarray(np.stack(np.meshgrid(steps, steps), axis=-1) + patch.corner + patch.middle, float)
         off = place - self._uv
         far = np.einsum("ijk,kl,ijl->ij", off, np.linalg.inv(self._cov[:2, :2] + 0.25 * np.eye(2)), off)
         if changed is None:
-            return _Window(patch, reach, place, far, None, None)
+            return _Window(patch, reach, place, far, None, None, has_left)
         cover = cv2.GaussianBlur(changed.surely, (0, 0), max(0.3 * self._size, 0.8))
         inner = slice(patch.middle - reach, patch.middle + reach + 1)
         differs = np.asarray(np.clip(1.6 * cover[inner, inner], 0.0, 1.0), np.float32)
-        return _Window(patch, reach, place, far, changed, differs)
+        return _Window(patch, reach, place, far, changed, differs, has_left)
 
     def _best(self, found: _Window, wanted: Wanted, least: float) -> tuple[Array, float] | None:
         """(24.7): the likeliest place in the picture and its one sigma; None if none looks like it by `least`."""
@@ -254,10 +283,15 @@ class Follower:
         # What has moved on by its own size since most of the earlier pictures is in none: it must differ. (24.25)
         is_behind = float(np.hypot(*self._velocity)) * MOST_AGE_S < self._size
         is_shown = changed is not None and (changed.shown is None or changed.shown[window, window][half + j, half + i])
-        still = None if here is None or not is_behind else self._still(likeness, here, place[0, 0], like)
+        still = (
+            None if here is None or not is_behind or found.has_left else self._still(likeness, here, place[0, 0], like)
+        )
         if still is not None:
             return still, STILL_SIGMA_PX
         by_look = like >= SURE_LIKENESS and (is_behind or not is_shown)
+        if found.has_left:  # nor by the look of the ground about where it stood, at which it is not
+            is_there = least > LEAST_LIKENESS or np.hypot(*(place[j, i] - self._rest)) < LEFT_REACH_PX
+            by_look = by_look and not is_there
         if not (by_look or (differs >= SURE_DIFFERENCE and like >= least)):
             return None
         peak = _climbed(likeness, int(j), int(i), int(CLIMB_SHARE * self._size))

@@ -10,7 +10,7 @@ from contract.feature_set import Status
 from contract.geodesy import LocalFrame
 from contract.locate import MAX_ELLIPSE_SHARE, Locator
 from contract.track import TrackReport, TrackState
-from contract.track_age import LOST_AFTER_S, unforeseen_m2
+from contract.track_age import LOST_AFTER_S, coasting, unforeseen_m2
 from onboard.geometry.plane_homography import move
 from onboard.tracks.follower import Follower, Observation
 from onboard.tracks.ground_steps import Pictures, Seen
@@ -78,6 +78,8 @@ class Track:
         """Return its report as of the newest picture: a lost thing has neither place nor speed."""
         seen, observed, motion = self._seen, self._observed, self.motion()
         course = None if motion is None else motion.course(motion.is_moving)
+        if self.state is not TrackState.FOLLOWED:
+            course = coasting(course, 0.0, self.follower.unseen_s(seen))
         place = None if self.is_lost else self._place(motion)
         status = Status.UNCERTAIN if self.is_lost else self._status
         return TrackReport(

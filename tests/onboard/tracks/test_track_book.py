@@ -130,6 +130,24 @@ def test_a_parked_car_that_drives_off_is_followed_or_lost_and_never_left_standin
     assert sum(report.state is TrackState.FOLLOWED for n, report in reported[1].items() if n < 36) > 14
 
 
+@pytest.mark.parametrize(
+    ("grey", "seed", "speed"),
+    rest_long([(150.0, 2, 3.0), (150.0, 2, 1.5), (150.0, 4, 3.0), (190.0, 0, 1.5), (190.0, 1, 1.5)]),
+)
+def test_a_person_who_stood_when_clicked_and_walks_off_is_not_left_standing(
+    grey: float, seed: int, speed: float
+) -> None:
+    """The place looks as it did without them, most of it being ground: but something has changed there. (24.26)"""
+    person = Thing(lambda t: (2.0 + speed * max(t - 3.5, 0.0), 0.0), 0.9, grey)
+    _, reported = fly(World((person,), seed=seed), range(80), {1: person}, clicked=15)
+    for n, report in reported[1].items():
+        if report.place is not None:
+            off = PLACE.to_enu(report.place.lat_deg, report.place.lon_deg, 100.0)[:2] - person.place(n / RATE_HZ)
+            assert np.hypot(*(off - [0.8, -0.5])) < 2.0 * report.place.ellipse.semi_major_m
+        assert n < 40 or "at rest" not in report.course_text
+    assert sum(report.state is TrackState.FOLLOWED for n, report in reported[1].items() if n < 36) > 18
+
+
 @pytest.mark.parametrize("brakes_m_s2", rest_long([4.0, 3.0, 5.0]))
 def test_a_car_that_brakes_to_a_stop_is_followed_in_its_middle(brakes_m_s2: float) -> None:
     """Its front alone changes the ground then: its box ran ahead of it by half of its length, and it was lost."""
@@ -315,6 +333,8 @@ def test_where_pictures_stop_its_place_goes_on_its_ellipse_grows_and_after_two_s
     off = PLACE.to_enu(report.place.lat_deg, report.place.lon_deg, 100.0)[:2] - car.place(3.9 + 1.6)
     assert np.abs(off - [0.8, -0.5]).max() < 0.5
     assert 1.0 < report.place.ellipse.semi_major_m - last.place.ellipse.semi_major_m < 10.0
+    assert last.course is not None and report.course is not None
+    assert report.course.sigma_speed_m_s > 2.0 > 5.0 * last.course.sigma_speed_m_s  # it may have stopped
     (lost,) = book.reports(50.0)
     assert (lost.state, lost.place, lost.course, lost.seen_unix_ns) == (
         TrackState.LOST, None, None, last.capture_unix_ns,
