@@ -27,7 +27,7 @@ from ground.seen.cells import LEAST_CELL_M, MOST_CELL_M
 from ground.seen.coverage import Coverage, coverage
 from ground.seen.detection import detection
 from ground.seen.export import WRITERS, time_text, write
-from ground.seen.flight_rows import flight_rows, machine_gsd_m, operator_gsd_m
+from ground.seen.flight_rows import Strip, flight_rows, machine_gsd_m, operator_gsd_m
 from ground.seen.missions import FORMATS
 from ground.seen.searched import BELOW, Searched, area_text, gap_dict, share_text
 from ground.seen.tally import SeenGround
@@ -136,9 +136,9 @@ def _write_rows(args: argparse.Namespace, searched: Searched, shown: Coverage, c
     """The gaps as files to fly, for the camera that took the newest picture. Raises InputError."""
     height_m = args.height
     if height_m is None and searched.who == "machine":
-        height_m = camera.fx_px * machine_gsd_m(searched.below, searched.detection.shares)
+        height_m = Strip.of(camera).height_m(camera, machine_gsd_m(searched.below, searched.detection.shares))
     elif height_m is None:
-        height_m = camera.fx_px * operator_gsd_m(searched.below, camera, args.look)
+        height_m = Strip.of(camera).height_m(camera, operator_gsd_m(searched.below, camera, args.look))
     overlap = OVERLAP if args.overlap is None else args.overlap
     rows = flight_rows(searched.gaps, shown, camera, height_m, overlap)
     if not args.json:

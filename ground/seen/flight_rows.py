@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from contract.camera import Camera
 from contract.errors import InputError
 from contract.geodesy import LocalFrame
+from contract.lens import FISHEYE
 from ground.seen.coverage import Coverage, Gap
 from ground.seen.detection import final_probability, searched_for
 from ground.seen.outline import cells_inside
@@ -42,6 +43,36 @@ class FlightRows:
         return f"to fly: {rows} rows, {where}{more}"
 
 
+@dataclass(frozen=True)
+class Strip:
+    """The ground that a camera shows straight down, for each metre of height: half of it `across` the way and `along`
+    it, and by how much its edge is `coarser` than f metres a pixel. (23.16)
+
+    Of a fisheye the 45 degrees at most about its axis: farther out the ground grows coarser faster than wider.
+    """
+
+    across: float
+    along: float
+    coarser: float = 1.0
+
+    @classmethod
+    def of(cls, camera: Camera) -> Strip:
+        """Return a camera's."""
+        if camera.model != FISHEYE:
+            return cls(0.5 * camera.width_px / camera.fx_px, 0.5 * camera.height_px / camera.fy_px)
+        left, top = (-0.5, camera.cy_px), (camera.cx_px, -0.5)
+        right, bottom = (camera.width_px - 0.5, camera.cy_px), (camera.cx_px, camera.height_px - 0.5)
+        rays, has_ray = camera.unproject((left, right, top, bottom))
+        reach = np.where(has_ray, np.minimum(np.hypot(rays[:, 0], rays[:, 1]), 1.0), 1.0)
+        across, along = float(reach[:2].min()), float(reach[2:].min())
+        _, by_radius, _ = camera.lens.linearised(np.array([[across], [0.0]]))
+        return cls(across, along, 1.0 / float(by_radius[0, 0]))
+
+    def height_m(self, camera: Camera, gsd_m: float) -> float:
+        """The height from which all of it is as fine as that."""
+        return camera.fx_px * gsd_m / self.coarser
+
+
 def operator_gsd_m(wanted: float, camera: Camera, look_s: float | None) -> float:
     """The coarsest ground sample distance at which an operator reaches a probability, in one look of `look_s`, or while
     a place is in the picture at SPEED_M_S. (23.13)
@@ -49,7 +80,9 @@ def operator_gsd_m(wanted: float, camera: Camera, look_s: float | None) -> float
     Raises InputError for a probability that is not reached.
     """
     gsd_m = np.geomspace(FINEST_M, COARSEST_M, 2000)
-    seconds = camera.height_px * gsd_m / SPEED_M_S if look_s is None else np.full(len(gsd_m), look_s)
+    strip = Strip.of(camera)
+    passing = 2.0 * strip.along * strip.height_m(camera, 1.0) * gsd_m / SPEED_M_S
+    seconds = passing if look_s is None else np.full(len(gsd_m), look_s)
     final = final_probability(gsd_m)[0]
     reaches = searched_for(final, final * seconds) >= wanted
     if not reaches.any():
@@ -79,11 +112,12 @@ def flight_rows(gaps: Sequence[Gap], over: Coverage, camera: Camera, height_m: f
     """
     if not gaps:
         raise InputError("there is no gap to fly over")
-    wide_m, high_m = camera.width_px * height_m / camera.fx_px, camera.height_px * height_m / camera.fy_px
+    strip = Strip.of(camera)
+    wide_m, beyond_m = 2.0 * strip.across * height_m, strip.along * height_m
     frame = LocalFrame(gaps[0].lat_deg, gaps[0].lon_deg, 0.0)
     each, count = list[Array](), 0
     for gap in gaps:
-        rows = _rows(_places(gap, over, frame), wide_m * (1.0 - overlap), wide_m, 0.5 * high_m, over.cells.cell_m)
+        rows = _rows(_places(gap, over, frame), wide_m * (1.0 - overlap), wide_m, beyond_m, over.cells.cell_m)
         if count + len(rows) > MOST_POINTS:
             break
         each.append(rows)

@@ -12,12 +12,14 @@ import pytest
 import rasterio
 from pymavlink import mavwp
 
+from contract.camera import Camera
 from contract.spot import SpotReport
 from contract.topics import SPOTS
 from contract.wire.spot_code import encode_spots
 from ground.__main__ import main
 from ground.seen.area import read_sectors
 from ground.seen.coverage import coverage
+from ground.seen.flight_rows import Strip
 from ground.seen.tally import SeenGround
 from onboard.storage.mcap_writer import SessionRecorder
 from tests.ground.seen.levels import CAMERA, CAPTURE_NS, HEIGHT_M, PLACE, level_set
@@ -303,3 +305,24 @@ def test_a_session_that_answers_nowhere_has_seen_nothing(tmp_path: Path, capsys:
         out.write_set(level_set(sigma_m=90.0))
     assert main(["seen", "--from", str(tmp_path / "unsure.mcap")]) == 3
     assert "nothing was surely seen" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("camera", "half_deg"),
+    [
+        (CAMERA, 0.0),
+        (Camera(640, 480, 210.0, 210.0, 319.5, 239.5, (0.02, -0.01, 0.0, 0.0), "fisheye"), 45.0),
+        (Camera(640, 480, 600.0, 600.0, 319.5, 239.5, (0.0, 0.0, 0.0, 0.0), "fisheye"), 30.6),
+    ],
+    ids=["pinhole", "wide fisheye", "narrow fisheye"],
+)
+def test_all_of_the_strip_that_is_flown_is_as_fine_as_wanted(camera: Camera, half_deg: float) -> None:
+    """A fisheye's rows were as wide as its angle, from a height at which only their middle was fine enough. (23.16)"""
+    strip = Strip.of(camera)
+    height_m = strip.height_m(camera, 0.1)
+    edge = camera.pixels((strip.across, 0.0))
+    across_m = [camera.unproject(edge - (px, 0.0))[0][0] * height_m for px in (0.0, 1.0)]
+    assert 0.985 < (across_m[0] - across_m[1]) / 0.1 < 1.001
+    assert half_deg in (0.0, pytest.approx(np.degrees(np.arctan(strip.across)), abs=0.1))
+    if half_deg == 0.0:
+        assert (strip.across, strip.along) == (320.0 / camera.fx_px, 240.0 / camera.fy_px)
