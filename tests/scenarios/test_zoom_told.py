@@ -103,13 +103,13 @@ def test_a_fast_zoom_that_is_not_reported_is_refused(seed: int) -> None:
 @pytest.mark.long
 @pytest.mark.parametrize("path", [LEVEL, TURNS], ids=["level", "turns"])
 def test_draws_of_reported_zooms_are_answered_soon_and_as_surely_as_they_say(path: PathSpec) -> None:
-    """Steps and ramps by turns, four flights of each and of each telling, with errors of their own.
+    """Steps and ramps by turns, two flights of each and of each telling, with errors of their own.
 
     Errors of one flight have causes in common, a filter's latency first: of single flights 33 to 100 % are inside, of
     all 95 % on straight legs and 95.5 % in turns, which other draws would make 1 to 3 % more or less.
     """
     inside, worst, focal, sigmas, waited = [], [], [], [], []
-    for seed in range(20, 52):
+    for seed in range(20, 36):
         result = followed(path, (STEP, RAMP)[seed % 2], TELLINGS[seed // 2 % len(TELLINGS)], seed)
         after = [e for k, found in result.found.errors.items() if k > result.flight.moves()[0][0] * RATE for e in found]
         inside.append(float(np.mean(np.array(after) <= 1.0)))
