@@ -316,7 +316,7 @@ def test_a_session_that_answers_nowhere_has_seen_nothing(tmp_path: Path, capsys:
     ],
     ids=["pinhole", "wide fisheye", "narrow fisheye"],
 )
-def test_all_of_the_strip_that_is_flown_is_as_fine_as_wanted(camera: Camera, half_deg: float) -> None:
+def test_all_of_the_strip_of_a_row_is_as_fine_as_wanted(camera: Camera, half_deg: float) -> None:
     """A fisheye's rows were as wide as its angle, from a height at which only their middle was fine enough. (23.16)"""
     strip = Strip.of(camera)
     height_m = strip.height_m(camera, 0.1)
