@@ -192,7 +192,10 @@ def summary(seen: SeenGround, found: Coverage) -> list[str]:
 
 
 def _recorded(args: argparse.Namespace, reports: list[SpotReport]) -> Iterator[FeatureSet]:
-    """The sets of a recording, of one vehicle or of all, each at its latest revision; `reports` get its spots."""
+    """The sets of a recording, of one vehicle or of all, each at its latest revision; `reports` get its spots.
+
+    Refused ones too: a picture that shows no known ground ends the time that the one before it was looked at.
+    """
     if args.seconds is not None:
         raise UsageError("--seconds is for a live aircraft")
     recording = opened(args.recording)
@@ -201,12 +204,12 @@ def _recorded(args: argparse.Namespace, reports: list[SpotReport]) -> Iterator[F
     reported_s = time.monotonic()
     for vehicle in vehicles:
         rows = recording.rows(vehicle)
-        for k, (frame, _, _, status) in enumerate(rows):
+        for k, (frame, *_) in enumerate(rows):
             if time.monotonic() - reported_s > REPORT_EVERY_S:
                 reported_s = time.monotonic()
                 print(f"pc-ground seen: {vehicle}: {k} of {len(rows)} pictures", file=sys.stderr)
             try:
-                found = recording.by_frame(vehicle, frame) if status.value == "ok" else None
+                found = recording.by_frame(vehicle, frame)
             except InputError as error:
                 print(f"pc-ground: warning: {error}", file=sys.stderr)
                 continue

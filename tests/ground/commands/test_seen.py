@@ -13,6 +13,7 @@ import rasterio
 from pymavlink import mavwp
 
 from contract.camera import Camera
+from contract.feature_set import FeatureSet, Status
 from contract.spot import SpotReport
 from contract.topics import SPOTS
 from contract.wire.spot_code import encode_spots
@@ -228,6 +229,24 @@ def test_without_a_thermal_search_the_operator_alone_counts(session: Path, capsy
     lines = printed(capsys, "--from", session, "--cell", 1, "--pod")
     assert "no picture of a calibrated thermal camera" in lines and "by machine" not in lines
     assert "by operator in the searched area" in lines
+
+
+def test_a_refused_picture_ends_the_time_for_the_one_before_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Before, an operator looked at an answered picture until the next answered one."""
+    found = []
+    for step in (1, 5):  # pictures are a second apart: of the others, nothing is sent, or a refusal
+        path = tmp_path / f"{step}.mcap"
+        with SessionRecorder(path, "uav") as out:
+            out.write_set(level_set(0))
+            for frame in range(step, 6, step):
+                s = level_set(frame)
+                out.write_set(FeatureSet("uav", s.session, frame, s.capture_unix_ns, Status.TURNING, CAMERA))
+        pod = json.loads(printed(capsys, "--from", path, "--pod", "--json"))["detection"]["sectors"][0]["operator"]
+        found.append(pod["pod"] if isinstance(pod, dict) else pod[0])
+    one_s, five_s = found
+    assert 0.0 < one_s < 0.7 * five_s
 
 
 def test_woods_without_a_canopy_are_refused(
