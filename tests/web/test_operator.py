@@ -219,7 +219,7 @@ def test_three_pins_stay_next_to_the_card_and_all_its_buttons_are_in_view(anna: 
     for name in ("Hand off", "Click again", "Seen in", "Measure", "Delete"):
         box = anna.page.locator("#pin-card").get_by_role("button", name=name).bounding_box()
         assert box["y"] + box["height"] <= card["y"] + card["height"] + 1.0
-    for name, shown in (("Seen in", ".seen .frame"), ("Measure", ".seen select")):
+    for name, shown in (("Seen in", "#pin-card .seen .frame"), ("Measure", "#pin-card .seen select")):
         anna.page.get_by_role("button", name=name).click()
         anna.page.wait_for_selector(shown)
         anna.page.wait_for_function(
