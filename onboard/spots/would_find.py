@@ -8,7 +8,6 @@ from functools import lru_cache
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import rank_filter
 
 from contract.spot import PERSON_GRID, PERSON_K, PERSON_M2
 from onboard.spots.contrast import CLUTTER_SIDES, WINDOW, Contrast, Image, contrast, parts, stretched
@@ -85,7 +84,7 @@ class Trial:
         """The clutter (N,) at pixels with a person there: of the 25 parts of the median his own is now the largest."""
         c, side_px = self._c, self._c.side_m / self._pixel_m / self._c.times
         power = parts(c.excess * c.excess, CLUTTER_SIDES * max(side_px, 1.0))
-        next_up = np.sqrt(rank_filter(power, WINDOW * WINDOW // 2 + 1, size=WINDOW, mode="nearest"))
+        next_up = np.sqrt(_one_above_median(power))
         height, width = power.shape
         own = row * height // c.values.shape[0], column * width // c.values.shape[1]
         is_raised = np.sqrt(power[own]) <= c.clutter[own]
@@ -151,3 +150,11 @@ def _persons(side_m: float, pixel_m: float, radius: int) -> Image:
         i, j = (middle / times).astype(int)
         persons.append(np.pad(shown.excess, radius)[i : i + 2 * radius + 1, j : j + 2 * radius + 1])
     return np.array(persons)
+
+
+def _one_above_median(values: Image) -> Image:
+    """The value next above the median (H, W) of the WINDOW x WINDOW parts about each; the border's are repeated."""
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(values, WINDOW // 2, mode="edge"), (WINDOW, WINDOW))
+    rank = WINDOW * WINDOW // 2 + 1
+    out: Image = np.partition(around.reshape(*values.shape, WINDOW * WINDOW), rank, axis=-1)[..., rank]
+    return out
