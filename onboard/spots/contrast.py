@@ -32,7 +32,8 @@ class Contrast:
     background: Image
     excess: Image  # smoothed at the thing's size
     in_clutter: Image
-    clutter: Image  # (h, w), of each part of the picture
+    power: Image  # (h, w), the mean square of what stands out, in each part of the picture
+    clutter: Image  # (h, w), of each of them
     is_ground: Mask  # likewise
 
     @property
@@ -50,17 +51,17 @@ def contrast(values: Image, is_ground: Mask, side_m: float, pixel_m: float) -> C
         times = width / size[0]
     side_px = max(side_m / pixel_m / times, 1.0)
     # A spot covers a few of the window's parts: their median is the ground about it.
-    low = parts(values, side_px)
+    low = _parts(values, side_px)
     background = stretched(np.asarray(cv2.medianBlur(low, WINDOW), np.float32), values)
     excess = np.asarray(cv2.GaussianBlur(values - background, (0, 0), BLUR_PX), np.float32)
-    power = parts(excess * excess, CLUTTER_SIDES * side_px)
+    power = _parts(excess * excess, CLUTTER_SIDES * side_px)
     local = np.sqrt(np.asarray(cv2.medianBlur(power, WINDOW), np.float32))
     ground = stretched(is_ground.astype(np.float32), local) > 0.5
     floor = max(LEAST_SHARE * float(np.median(local[ground] if ground.any() else local)), 1e-6)
     local = np.maximum(local, np.float32(floor))
     in_clutter = excess / stretched(local, values)
     in_clutter[stretched(is_ground.astype(np.float32), values) < 0.99] = 0.0
-    return Contrast(side_m, times, values, background, excess, in_clutter, local, ground)
+    return Contrast(side_m, times, values, background, excess, in_clutter, power, local, ground)
 
 
 def in_picture(values: Image, is_ground: Mask) -> tuple[Image, float]:
@@ -78,7 +79,7 @@ def in_picture(values: Image, is_ground: Mask) -> tuple[Image, float]:
     return out, usual
 
 
-def parts(values: Image, part_px: float) -> Image:
+def _parts(values: Image, part_px: float) -> Image:
     """Means of parts of about so many pixels to a side; at least a window of them."""
     height, width = values.shape
     size = max(round(width / part_px), WINDOW), max(round(height / part_px), WINDOW)

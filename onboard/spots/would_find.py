@@ -1,4 +1,4 @@
-"""Where in a picture a person would be found now: tried, place by place, in the picture itself. (25.23), (25.24)"""
+"""The parts of a picture in which a person would be found now: tried in the picture itself. (25.23), (25.24)"""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.spot import PERSON_GRID, PERSON_K, PERSON_M2
-from onboard.spots.contrast import CLUTTER_SIDES, WINDOW, Contrast, Image, contrast, parts, stretched
+from onboard.spots.contrast import WINDOW, Contrast, Image, contrast, stretched
 from onboard.spots.regions import LENS_PX, about_peak, size_limits
 
 Array = NDArray[np.float64]
@@ -82,12 +82,11 @@ class Trial:
 
     def _clutter_with_person(self, row: Index, column: Index) -> Image:
         """The clutter (N,) at pixels with a person there: of the 25 parts of the median his own is now the largest."""
-        c, side_px = self._c, self._c.side_m / self._pixel_m / self._c.times
-        power = parts(c.excess * c.excess, CLUTTER_SIDES * max(side_px, 1.0))
-        next_up = np.sqrt(_one_above_median(power))
-        height, width = power.shape
+        c = self._c
+        next_up = np.sqrt(_one_above_median(c.power))
+        height, width = c.power.shape
         own = row * height // c.values.shape[0], column * width // c.values.shape[1]
-        is_raised = np.sqrt(power[own]) <= c.clutter[own]
+        is_raised = np.sqrt(c.power[own]) <= c.clutter[own]
         alone = stretched(c.clutter, c.values)[row, column]
         raised = stretched(np.maximum(next_up, c.clutter), c.values)[row, column]
         return np.asarray(np.where(is_raised, raised, alone), np.float32)
@@ -97,7 +96,7 @@ class Trial:
         return bool(must < _middle(shown, self._radius).max() < CLOSE * must)
 
     def _with_person(self, row: int, column: int, which: int) -> Image:
-        """What stands out about a pixel of `c`, the person put into the picture itself: exact, and slower."""
+        """Return the excess about a pixel of `c`, the person put into the picture itself: exact, and slower."""
         c, reach = self._c, self._radius
         half = int(np.ceil((reach + WINDOW * c.side_m / self._pixel_m / c.times) * c.times))
         middle = (np.array([row, column]) + PHASES[which]) * c.times
@@ -137,7 +136,7 @@ def _person(shape: tuple[int, ...], middle_px: Array, pixel_m: float) -> Image:
 
 @lru_cache(maxsize=64)
 def _persons(side_m: float, pixel_m: float, radius: int) -> Image:
-    """How persons of 1 K stand out of level ground for things of `side_m`, one for each of PHASES. (25.3)
+    """The excess of persons of 1 K over level ground for things of `side_m`, one for each of PHASES. (25.3)
 
     (P, 2 radius + 1, 2 radius + 1), K, about the pixel that a person stands in.
     """
