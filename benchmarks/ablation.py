@@ -28,9 +28,8 @@ from benchmarks.ablation_scenes import ORDINARY, ORDINARY_SECONDS, Trial, own
 from benchmarks.click_score import Score, clicks, scored
 from benchmarks.machine import describe
 from benchmarks.mechanisms import MECHANISMS, Mechanism
+from benchmarks.sampled_flight import every_set
 from benchmarks.scatter import mean_and_sigma
-from contract.feature_set import FeatureSet
-from onboard.pipeline.pipeline import Pipeline
 
 Array = NDArray[np.float64]
 
@@ -50,14 +49,9 @@ A draw that answers only without it is compared with 90 % inside and sharpness 1
 def fly(trial: Trial, seed: int) -> Score:
     """One flight through the pipeline, and its clicks."""
     flight = trial.flight(seed)
-    spec = flight.spec
-    pipeline = Pipeline(spec.config, spec.camera_file or spec.camera, None)
-    pipeline.tracker = trial.tracker(flight)
-    sets: dict[int, FeatureSet] = {}
-    for event in flight.events():
-        sets.update({out.frame: out for out in pipeline.handle(event)})
-    sets.update({out.frame: out for out in pipeline.finish()})
-    score = scored(flight, clicks(flight, sets, spec.camera.size_px, CLICKS, trial.warm_s, seed))
+    pipeline = trial.pipeline(flight)
+    sets = {out.frame: out for out in every_set(pipeline, flight.events())}
+    score = scored(flight, clicks(flight, sets, flight.spec.camera.size_px, CLICKS, trial.warm_s, seed))
     spent = pipeline.summary.stage_seconds
     score.processor_s = sum(seconds for stage, seconds in spent.items() if stage != "tracking")
     return score

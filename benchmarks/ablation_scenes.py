@@ -21,6 +21,7 @@ from contract.camera import Camera
 from contract.rotations import exp_so3, matrix_from_euler, matrix_from_quaternion, quaternion_from_matrix
 from onboard.config.schema import Config, parse_config
 from onboard.events.types import Attitude, Event, GimbalAttitude
+from onboard.pipeline.pipeline import Pipeline
 from onboard.vision.klt_tracker import Tracks
 from simulation.paths import PathSpec
 from simulation.rows import RowsOf
@@ -52,6 +53,13 @@ class Trial:
     tracker: Callable[[Any], SampledTracker] = SampledTracker
     seed: int = 3
     warm_s: float = WARM_S  # clicks from then on
+
+    def pipeline(self, flight: AnyFlight) -> Pipeline:
+        """A pipeline that is to fly it, with its features found as they are here."""
+        spec = flight.spec
+        out = Pipeline(spec.config, spec.camera_file or spec.camera, None)
+        out.tracker = self.tracker(flight)
+        return out
 
 
 def recorded(

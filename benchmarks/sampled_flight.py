@@ -8,7 +8,7 @@ covariances miss comes from the estimator and not from the simulation. Only what
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -485,11 +485,14 @@ def fly(flight: SampledFlight) -> tuple[dict[int, FeatureSet], Pipeline]:
     spec = flight.spec
     pipeline = Pipeline(spec.config, spec.camera_file or spec.camera, _OwnTerrain(flight) if spec.has_terrain else None)
     pipeline.tracker = SampledTracker(flight)
-    sets: dict[int, FeatureSet] = {}
-    for event in flight.events():
-        sets.update({out.frame: out for out in pipeline.handle(event)})
-    sets.update({out.frame: out for out in pipeline.finish()})
-    return sets, pipeline
+    return {out.frame: out for out in every_set(pipeline, flight.events())}, pipeline
+
+
+def every_set(pipeline: Pipeline, events: Iterable[Event]) -> Iterator[FeatureSet]:
+    """Yield each set that a pipeline makes of a whole flight, as they come: of a picture there may be several."""
+    for event in events:
+        yield from pipeline.handle(event)
+    yield from pipeline.finish()
 
 
 def replace_section(config: Config, section: str, **values: object) -> Config:

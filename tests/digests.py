@@ -13,9 +13,9 @@ import argparse
 from hashlib import sha256
 
 from benchmarks.ablation_scenes import ORDINARY, Trial, own
-from contract.feature_set import FeatureSet, Status
+from benchmarks.sampled_flight import every_set
+from contract.feature_set import Status
 from contract.wire.codec import encode
-from onboard.pipeline.pipeline import Pipeline
 
 
 def trials() -> list[Trial]:
@@ -29,13 +29,7 @@ def trials() -> list[Trial]:
 def line(trial: Trial) -> str:
     """Return the digest of a flight, the number of its sets and of those that are OK, and its name."""
     flight = trial.flight(trial.seed)
-    spec = flight.spec
-    pipeline = Pipeline(spec.config, spec.camera_file or spec.camera, None)
-    pipeline.tracker = trial.tracker(flight)
-    sets: list[FeatureSet] = []
-    for event in flight.events():
-        sets += pipeline.handle(event)
-    sets += pipeline.finish()
+    sets = list(every_set(trial.pipeline(flight), flight.events()))
     digest = sha256(b"".join(encode(out) for out in sets)).hexdigest()[:16]
     solved = sum(out.status is Status.OK for out in sets)
     return f"{digest} {len(sets):4d} sets, {solved:4d} OK  {trial.name}"

@@ -12,17 +12,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from contract.spot import SpotReport
-from contract.topics import SPOTS
-from contract.wire.spot_code import encode_spots
 from ground.__main__ import main
 from ground.seen.area import read_sectors
 from ground.web.found_map import FoundMap
 from ground.web.recorded import RecordedSource
 from ground.web.seen_map import SeenMap
 from ground.web.seen_tile import ALPHA, COLOURS
-from onboard.storage.mcap_writer import SessionRecorder
-from tests.ground.seen.levels import PLACE, level_set
+from tests.ground.seen.levels import PLACE, record_search
 from tests.web.browsing import Operator
 from tests.web.test_seen import ZOOM, tile_at
 
@@ -50,14 +46,7 @@ def sectors_file(path: Path, areas: dict[str, list[list[float]]]) -> Path:
 @pytest.fixture(scope="module")
 def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Five looks straight down; a person is found in their upper half, and in the lower one with 0.6."""
-    path = tmp_path_factory.mktemp("thermal") / "session.mcap"
-    with SessionRecorder(path, "uav") as out:
-        for s in (level_set(frame) for frame in range(5)):
-            out.write_set(s)
-            parts = (1.0,) * 10 + (0.6,) * 10
-            report = SpotReport(s.session, s.frame, s.capture_unix_ns, True, vehicle="uav", person_parts=parts)
-            out.write_report(SPOTS, s.capture_unix_ns, encode_spots(report))
-    return path
+    return record_search(tmp_path_factory.mktemp("thermal") / "session.mcap", 5, (1.0,) * 10 + (0.6,) * 10)
 
 
 @pytest.fixture

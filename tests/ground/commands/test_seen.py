@@ -14,16 +14,13 @@ from pymavlink import mavwp
 
 from contract.camera import Camera
 from contract.feature_set import FeatureSet, Status
-from contract.spot import SpotReport
-from contract.topics import SPOTS
-from contract.wire.spot_code import encode_spots
 from ground.__main__ import main
 from ground.seen.area import read_sectors
 from ground.seen.coverage import coverage
 from ground.seen.flight_rows import Strip
 from ground.seen.tally import SeenGround
 from onboard.storage.mcap_writer import SessionRecorder
-from tests.ground.seen.levels import CAMERA, CAPTURE_NS, HEIGHT_M, PLACE, level_set
+from tests.ground.seen.levels import CAMERA, CAPTURE_NS, HEIGHT_M, PLACE, level_set, record_search
 
 WIDE_M, HIGH_M = HEIGHT_M * 640 / CAMERA.fx_px, HEIGHT_M * 480 / CAMERA.fx_px
 APART_M = 130.0
@@ -179,13 +176,7 @@ def sectors(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 @pytest.fixture(scope="module")
 def thermal(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Four looks at one place, in each of which a person would be found with 0.8."""
-    path = tmp_path_factory.mktemp("thermal") / "session.mcap"
-    with SessionRecorder(path, "uav") as out:
-        for s in (level_set(frame) for frame in range(4)):
-            out.write_set(s)
-            report = SpotReport(s.session, s.frame, s.capture_unix_ns, True, vehicle="uav", person_parts=(0.8,) * 20)
-            out.write_report(SPOTS, s.capture_unix_ns, encode_spots(report))
-    return path
+    return record_search(tmp_path_factory.mktemp("thermal") / "session.mcap", 4, (0.8,) * 20)
 
 
 @pytest.mark.parametrize("kind", ["geojson", "kml"])

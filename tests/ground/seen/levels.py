@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
 from contract.camera import Camera
 from contract.feature_set import FeatureSet, Status
 from contract.geodesy import LocalFrame
 from contract.rotations import exp_so3
+from contract.spot import SpotReport
+from contract.topics import SPOTS
+from contract.wire.spot_code import encode_spots
 from ground.seen.cells import Cells
 from ground.seen.picture_cells import picture_cells
 from ground.seen.tally import SeenGround
+from onboard.storage.mcap_writer import SessionRecorder
 
 CAMERA = Camera.from_field_of_view(640, 480, 40.0)
 PLACE = LocalFrame(-43.38, 172.4, 0.0)
@@ -45,6 +51,16 @@ def level_set(
         common_cov=common, plane_per_m=plane, plane_sigma_relative=1e-4, roughness=1e-7, uv_px=uv,
         inverse_depth_per_m=w, sigma_inverse_depth_per_m=np.full(len(uv), 1e-8),
     )  # fmt: skip
+
+
+def record_search(path: Path, pictures: int, parts: tuple[float, ...]) -> Path:
+    """Record looks straight down at one place, in each of which a person would be found with the shares of `parts`."""
+    with SessionRecorder(path, "uav") as out:
+        for s in (level_set(frame) for frame in range(pictures)):
+            out.write_set(s)
+            report = SpotReport(s.session, s.frame, s.capture_unix_ns, True, vehicle="uav", person_parts=parts)
+            out.write_report(SPOTS, s.capture_unix_ns, encode_spots(report))
+    return path
 
 
 def an_hour_over_a_place() -> SeenGround:
