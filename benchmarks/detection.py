@@ -70,12 +70,12 @@ class Strip(Scene):
     east_m: float = 0.0
 
     def pose(self, frame: int) -> Pose:
-        """As the scene's, east of it."""
+        """Return the scene's pose, moved east."""
         pose = super().pose(frame)
         return replace(pose, centre_m=pose.centre_m + (self.east_m, 0.0, 0.0))
 
     def ground_m(self, frame: int) -> float:
-        """As the scene's, east of it."""
+        """Return the ground's height below that pose."""
         return float(self.terrain.height_m(self.east_m, self.step_m * frame))
 
 
@@ -88,10 +88,8 @@ def fly(seed: int, flight: int, pictures: int) -> list[Person]:
     spec = ThermalSpec(contrast=float(rng.uniform(*CONTRASTS)), rocks_km2=float(rng.choice(ROCKS_KM2)))
     wide_m, high_m = (size * height_m / CAMERA.fx_px for size in CAMERA.size_px)
     count = round(pictures * STEP * PEOPLE)
-    across, along = (
-        east_m + rng.uniform(-0.5 * wide_m, 0.5 * wide_m, count),
-        rng.uniform(0.0, STEP * pictures * high_m, count),
-    )
+    across = east_m + rng.uniform(-0.5 * wide_m, 0.5 * wide_m, count)
+    along = rng.uniform(0.0, STEP * pictures * high_m, count)
     excess_k = PERSON_K * float(np.exp(height_m / spec.air_m))
     people = tuple(HeatSource.person((float(x), float(y)), excess_k) for x, y in zip(across, along, strict=True))
     of_heat = replace(spec, sources=people)

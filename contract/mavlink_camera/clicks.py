@@ -222,7 +222,7 @@ class CameraClicks(WokenWork):
         return True, ""
 
     def _view(self, question: ViewQuestion) -> View:
-        """Where the camera looks, by the newest picture that has a pose; nothing by one that is too old for that."""
+        """The camera's view by the newest picture that has a pose; without one where that is too old."""
         with self._changed:
             newest, silent_s = self._sets.newest_answer(), self._monotonic_s() - self._placed_s
         age_s = silent_s if newest is None else max(silent_s, self.stamped_ago_s(newest.capture_unix_ns))

@@ -1,4 +1,4 @@
-"""Who would have been found where, for the page: what `pc-ground seen --pod` computes, again when more was seen."""
+"""The map of who would have been found, for the page: `pc-ground seen --pod` computed again when more was seen."""
 
 from __future__ import annotations
 

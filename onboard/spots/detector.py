@@ -39,7 +39,7 @@ class Detector:
         self.tails = {smallest * 2.0**k: ClutterTail(config.false_per_km2 / octaves) for k in range(octaves)}
         self._pixel_m = 0.0  # of the newest picture with a scale
         self.person_found: tuple[float | None, ...] = ()
-        """Of the newest picture, as a report's `person_parts`."""
+        """The shares of the newest picture's parts, as a report's `person_parts`."""
 
     @property
     def thresholds(self) -> dict[float, float]:

@@ -203,10 +203,8 @@ class Follower:
     def _differs_at_rest(self, changed: Change) -> float:
         """The area, px2, that surely differs within its size about where it stands."""
         column, row = self._rest - changed.corner
-        half, (rows, columns) = (
-            max(0.5 * self._size, LEFT_REACH_PX),
-            np.ogrid[: len(changed.surely), : len(changed.surely)],
-        )
+        half = max(0.5 * self._size, LEFT_REACH_PX)
+        rows, columns = np.ogrid[: len(changed.surely), : len(changed.surely)]
         return float(changed.surely[(np.abs(rows - row) <= half) & (np.abs(columns - column) <= half)].sum())
 
     def _unseen(self, unseen: Unseen) -> Observation:
