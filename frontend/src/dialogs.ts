@@ -30,14 +30,18 @@ export async function showHandoff(pin: Pin, state: State, map: MapPane | null): 
     ...[...state.pins.values()].filter((other) => other.id !== pin.id && other.place.status === "ok")
       .sort((a, b) => a.number - b.number).slice(0, 1000).map((other) => make("option", { value: other.id }, `from pin ${other.number} ${other.name}`)));
   const crs = make("input", { type: "text", maxlength: "40", placeholder: "EPSG:2193", "aria-label": "another coordinate system" });
-  const table = make("div", { class: "formats" });
+  const table = make("div", { class: "formats" }), readback = make("p", { id: "readback", class: "readback" });
+  const print = byId<HTMLButtonElement>("print");
+  let asked = 0;
   const fill = async (): Promise<void> => {
+    const mine = ++asked;
     const reply = await api.handoff(pin.id, from.value, crs.value.trim());
+    if (mine !== asked) return; // a later choice has been asked for
     table.replaceChildren(...reply.texts.map(({ name, title, text }) => {
       const button: HTMLButtonElement = make("button", { type: "button", click: () => void copied(text, button), "aria-label": `copy ${title}` }, "Copy");
       return make("div", { class: "format", "data-format": name }, make("span", { class: "format-name" }, title), make("span", { class: "format-text" }, text), button);
     }));
-    byId("readback").textContent = reply.readback;
+    readback.textContent = reply.readback;
   };
   const crop = make("img", { class: "crop", alt: "the picture around the click", src: api.cropUrl(pin.id, String(pin.clicks.length)) });
   crop.addEventListener("error", () => crop.remove());
@@ -46,31 +50,35 @@ export async function showHandoff(pin: Pin, state: State, map: MapPane | null): 
       make("p", { class: "only-print" }, `printed ${moment(new Date().toISOString())} by ${state.options.who === "" ? "no name given" : state.options.who}; pointclick, ${state.server?.source ?? ""}`)));
   const pictures = make("div", { class: "handoff-pictures" }, crop,
     make("figure", {}, make("img", { class: "qr", alt: "QR code of the position, for a phone's camera", src: `${api.qrUrl(pin.id)}?v=${encodeURIComponent(pin.modified_utc)}` }), make("figcaption", {}, "position for a phone")));
+  const onMap = mapOf(pin, map);
   body.replaceChildren(head, make("div", { class: "handoff-columns" }, table, pictures),
     make("div", { class: "from no-print" }, make("label", {}, "Bearing and distance ", from), make("label", {}, " Other system ", crs)),
-    make("h3", {}, "On the radio"), make("p", { id: "readback", class: "readback" }), mapOf(pin, map));
+    make("h3", {}, "On the radio"), readback, onMap.figure);
   for (const field of [from, crs]) field.addEventListener("change", () => void fill());
+  print.disabled = true; // half a card is not printed
   dialog.showModal();
   try {
     await fill();
   } catch (error) {
     table.textContent = error instanceof Refused ? error.message : String(error);
   }
+  await onMap.settled;
+  if (table.isConnected) print.disabled = false; // otherwise another pin's card is open
 }
 
 let tieField: CoordinateField | null = null;
 
-/** The map about a pin, north up, with what the operator sees on it; nothing where there is no map. */
-function mapOf(pin: Pin, map: MapPane | null): HTMLElement {
+/** The map about a pin, north up, with what the operator sees on it, and when it is there; nothing where there is no map. */
+function mapOf(pin: Pin, map: MapPane | null): { figure: HTMLElement; settled: Promise<void> } {
   const figure = make("figure", { class: "handoff-map", hidden: true });
-  if (map === null || pin.place.status !== "ok") return figure;
+  if (map === null || pin.place.status !== "ok") return { figure, settled: Promise.resolve() };
   const { lat_deg, lon_deg, ce90_m } = pin.place;
-  void map.snapshot(lat_deg, lon_deg, Math.max(6 * (ce90_m ?? 20), 60)).then((image) => {
+  const settled = map.snapshot(lat_deg, lon_deg, Math.max(6 * (ce90_m ?? 20), 60)).then((image) => {
     if (image === null) return;
     figure.append(make("img", { src: image, alt: `map about pin ${pin.number}, north up` }), make("figcaption", {}, `pin ${pin.number}, north up; its ellipse: ${within(ce90_m)}`));
     figure.hidden = false;
   }, () => undefined);
-  return figure;
+  return { figure, settled };
 }
 
 /** Asks for the surveyed coordinate of what was clicked. */

@@ -78,6 +78,7 @@ export class Viewer {
     const row = this.state.rows()[index];
     this.state.isFrozen = true;
     if (row !== undefined) this.show(row);
+    this.state.notify("shown"); // at once: the button, pressed before the picture is there, would let go
   }
 
   /** Open a picture by name: of any vehicle. */

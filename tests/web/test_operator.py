@@ -325,7 +325,7 @@ def test_what_is_printed_has_the_map_the_author_and_the_moment_of_the_sighting(
     seen = anna.newest_pin()["seen_utc"]
     assert f"seen {seen[:19].replace('T', ' ')} UTC, marked by anna b" in anna.page.locator("#pin-card").inner_text()
     anna.by("handoff").click()
-    anna.page.wait_for_selector(".handoff-map:not([hidden]) img")
+    anna.page.wait_for_selector("#print:enabled")
     anna.page.emulate_media(media="print")
     try:
         width = anna.page.evaluate("() => document.querySelector('.handoff-map img').naturalWidth")
@@ -338,6 +338,34 @@ def test_what_is_printed_has_the_map_the_author_and_the_moment_of_the_sighting(
         assert not anna.page.locator("#print").is_visible()
     finally:
         anna.page.emulate_media(media="screen")
+
+
+def test_a_late_answer_never_reaches_another_card_and_half_a_card_is_not_printed(anna: Operator) -> None:
+    for u in (200.0, 400.0):
+        anna.click(u, 200.0)
+    anna.wait_for_pins(2)
+    held: list[Any] = []
+
+    def hold(route: Any) -> None:
+        held.append(route)
+
+    anna.page.route("**/handoff?*", hold)
+    for order in (0, 1):
+        anna.by("pin").nth(order).click()
+        with anna.page.expect_request("**/handoff?*"):
+            anna.by("handoff").click()
+        anna.page.wait_for_selector("#print:disabled")
+        if order == 0:
+            anna.page.keyboard.press("Escape")
+    late, wanted = held
+    wanted.continue_()
+    anna.page.wait_for_selector("#print:enabled")
+    shown = anna.page.locator("#readback").inner_text()
+    with anna.page.expect_response("**/handoff?*") as answered:
+        late.continue_()
+    assert answered.value.json()["readback"] != shown
+    anna.page.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    assert anna.page.locator("#readback").inner_text() == shown
 
 
 def test_a_typed_coordinate_and_a_file_become_pins(anna: Operator, tmp_path: Path) -> None:
@@ -356,7 +384,7 @@ def test_a_typed_coordinate_and_a_file_become_pins(anna: Operator, tmp_path: Pat
         pytest.approx(-43.380139, abs=1e-6), pytest.approx(172.401222, abs=1e-6)
     )  # fmt: skip
     assert pin["place"]["ce90_m"] == pytest.approx(20.0, abs=0.1)
-    assert "time of sighting unknown" in anna.page.locator("#pin-card").inner_text()
+    anna.page.locator("#pin-card", has_text="time of sighting unknown").wait_for()
     file = tmp_path / "wegpunkte.csv"
     file.write_bytes("name;lat;lon\nZelt am Bäch;-43,3805;172,4020\n".encode("latin-1"))
     anna.by("add").click()
