@@ -366,6 +366,7 @@ def test_a_late_answer_never_reaches_another_card_and_half_a_card_is_not_printed
     assert answered.value.json()["readback"] != shown
     anna.page.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
     assert anna.page.locator("#readback").inner_text() == shown
+    anna.page.unroute("**/handoff?*", hold)
 
 
 def test_a_typed_coordinate_and_a_file_become_pins(anna: Operator, tmp_path: Path) -> None:
