@@ -51,20 +51,29 @@ EVERY_FLIGHT = (
     "onboard/navigation", "onboard/pipeline", "onboard/vision", "simulation",
 )  # fmt: skip
 """Packages that every rendered or sampled flight goes through."""
+RUNS = (
+    "Makefile", "pyproject.toml", "tests/conftest.py", "tests/limits.py", "tests/long_tests.py", "tests/submission.py",
+)  # fmt: skip
+"""Files that state how tests are run: what tries them is the same for every change of anything else."""
 INSTALLED = ("packaging", "requirements.lock", "pyproject.toml", "Makefile", "tests/installed.py")
 PROGRAMS = (*EVERY_FLIGHT, "onboard/replay", "onboard/service", "onboard/storage", "onboard/link", "ground")
 TRIES: dict[str, tuple[str, ...]] = {
     "tests/fuzz": ("contract", "ground", "onboard"),
     "tests/scenarios": EVERY_FLIGHT,
+    "tests/web/test_docs_site.py": ("docs", "packaging", "README.md"),
     "tests/web": ("ground", "frontend"),
     "tests/test_benchmarks.py": ("benchmarks",),
     "tests/test_coverage.py": (*EVERY_FLIGHT, "benchmarks"),
     "tests/test_end_to_end.py": PROGRAMS,
     "tests/test_install.py": INSTALLED,
     "tests/test_learning.py": EVERY_FLIGHT,
-    "tests/test_makefile.py": ("Makefile", "tests/conftest.py"),
+    "tests/test_limits.py": RUNS,
+    "tests/test_lock.py": INSTALLED,
+    "tests/test_makefile.py": (*RUNS, "tests/costly_first.py"),
+    "tests/test_packaging.py": INSTALLED,
     "tests/test_platform_errors.py": EVERY_FLIGHT,
     "tests/test_soak.py": PROGRAMS,
+    "tests/test_submission.py": RUNS,
 }
 """Paths that a folder or a file of tests tries which does not mirror a package; `tests/PACKAGE` tries PACKAGE."""
 

@@ -53,6 +53,7 @@ def test_the_limit_is_by_marker_and_folder(
     assert limit_s(request.node) == expected_s
 
 
+@pytest.mark.long
 def test_one_that_hangs_is_named_by_its_worker_and_the_others_run(tmp_path: Path) -> None:
     (tmp_path / "test_hanging.py").write_text(HANGS)
     done = inner_run("-q", "-n", "1", folder=tmp_path)
@@ -73,6 +74,7 @@ def test_a_run_of_long_tests_is_known_by_its_expression(expression: str, is_long
     assert asks_for_long(expression) is is_long
 
 
+@pytest.mark.long
 def test_a_property_is_tried_with_more_examples_in_the_long_run(request: pytest.FixtureRequest) -> None:
     """Of the run that this test is in, and of another of long tests."""
     is_long = asks_for_long(request.config.option.markexpr)

@@ -69,6 +69,7 @@ def test_the_lines_that_are_asked_for_come_with_their_hashes(tmp_path: Path) -> 
     assert printed.count("--hash=sha256:") >= 8
 
 
+@pytest.mark.long
 def test_pip_refuses_a_file_that_is_not_the_locked_one(tmp_path: Path) -> None:
     """As `make` calls it."""
     wheel = tmp_path / "it-1-py3-none-any.whl"

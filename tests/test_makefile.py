@@ -157,6 +157,7 @@ def test_the_markers_are_registered() -> None:
     assert {line.split(":")[0] for line in options["markers"]} == {"wall_clock", "long"}
 
 
+@pytest.mark.long
 def test_without_the_long_tests_a_file_is_one_workers() -> None:
     workers = {file: set(re.findall(rf"\[(gw\d)\] .*PASSED {file}::", without_long_tests(2))) for file in FILES}
     assert [len(of_file) for of_file in workers.values()] == [1, 1]
@@ -172,6 +173,7 @@ def test_each_group_that_begins_early_is_there() -> None:
     assert set(COSTLY_FIRST) <= named | {file.stem for file in files}
 
 
+@pytest.mark.long
 def test_the_costliest_groups_begin_first() -> None:
     """By the order in which one worker runs them: pytest-xdist hands groups out in that of its first worker."""
     files = ("tests/test_equations.py", "tests/onboard/link/test_publisher.py", "tests/ground/test_router.py")
@@ -201,6 +203,7 @@ def test_those_that_measure_are_one_workers_whatever_group_they_are_of(request: 
     assert "@" not in request.node.nodeid or request.node.nodeid.endswith("@measures")
 
 
+@pytest.mark.long
 def test_what_a_group_shares_is_made_by_one_worker(tmp_path: Path) -> None:
     """pytest-xdist keeps a group together by a name it hangs on each test; with some pytests it silently does not."""
     (tmp_path / "test_of_a_group.py").write_text(

@@ -199,6 +199,7 @@ def test_the_package_recommends_what_the_helper_says_to_install() -> None:
     assert {*" ".join(PACKAGES).split(), *BASE.split()} <= named
 
 
+@pytest.mark.long
 def test_a_release_is_made_of_a_tagged_checkout_alone_and_every_page_has_its_version(tmp_path: Path) -> None:
     root, version = PACKAGING.parent, project()["version"]
     assert f"\nversion: {version}\n" in (root / "CITATION.cff").read_text()

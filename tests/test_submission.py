@@ -215,6 +215,7 @@ sys.exit(pytest.main(["-m", "long", "-p", "no:cacheprovider", {IN_A_CHECKOUT!r},
     return done.stdout
 
 
+@pytest.mark.long
 def test_a_run_takes_what_is_chosen_and_names_what_found_no_time(monkeypatch: pytest.MonkeyPatch) -> None:
     in_time = long_run("9e18", monkeypatch)
     passed = int(re.findall(r"(\d+) passed", in_time)[0])

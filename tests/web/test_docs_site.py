@@ -45,6 +45,7 @@ def test_links_within_the_site_lead_somewhere(site: Path) -> None:
     assert links > 1000
 
 
+@pytest.mark.long
 def test_nothing_is_fetched_from_elsewhere_and_the_search_in_a_folder_finds_a_word(site: Path, chromium: Any) -> None:
     context = chromium.new_context()
     asked: list[str] = []
