@@ -88,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
         seen.add(found)
         if found.is_ok and (newest is None or found.capture_unix_ns > newest.capture_unix_ns):
             newest = found
-    shown = coverage(seen, None if sectors is None else [sector.rings for sector in sectors])
+    shown = coverage(seen, None if sectors is None else [polygon for sector in sectors for polygon in sector.polygons])
     _warn(seen)
     if shown is None:
         print("nothing was surely seen: no set answers, or all are too uncertain")

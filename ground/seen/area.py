@@ -1,4 +1,7 @@
-"""The searched area and its sectors from a GeoJSON or KML file, and woods: polygons, of which the rings are taken."""
+"""The searched area and its sectors from a GeoJSON or KML file, and woods: polygons, each an outer ring with holes.
+
+Polygons of one area that overlap are one: what lies in any of them belongs to it.
+"""
 
 from __future__ import annotations
 
@@ -16,6 +19,7 @@ from contract.errors import InputError
 from contract.xml_root import xml_root
 
 Array = NDArray[np.float64]
+Polygon = list[Array]
 
 MOST_CORNERS = 100_000
 MOST_NAME = 60  # characters of a sector's
@@ -23,17 +27,22 @@ MOST_NAME = 60  # characters of a sector's
 
 @dataclass(frozen=True, eq=False)
 class Sector:
-    """A named part of the searched area: inside of an odd number of rings (K, 2) of longitude and latitude."""
+    """A named part of the searched area: polygons, each an outer ring (K, 2) of longitude and latitude, and holes."""
 
     name: str
-    rings: list[Array]
+    polygons: list[Polygon]
+
+    @property
+    def rings(self) -> list[Array]:
+        """All of them, as they are shown."""
+        return [ring for polygon in self.polygons for ring in polygon]
 
 
 @dataclass(frozen=True, eq=False)
 class Woods:
-    """Trees: rings as a sector's, and the share of the ground that their canopy hides from above."""
+    """Trees: polygons as a sector's, and the share of the ground that their canopy hides from above."""
 
-    rings: list[Array]
+    polygons: list[Polygon]
     canopy: float
 
 
@@ -48,21 +57,21 @@ def sectors_of(name: str, data: bytes) -> list[Sector]:
 
 
 def _sectors(found: Sequence[_Area]) -> list[Sector]:
-    return [Sector(_name(about) or str(number), rings) for number, (about, rings) in enumerate(found, 1)]
+    return [Sector(_name(about) or str(number), polygons) for number, (about, polygons) in enumerate(found, 1)]
 
 
 def read_woods(path: Path) -> list[Woods]:
     """The woods of a GeoJSON file, each with the property `canopy`, 0 to 1. Raises InputError, in a line."""
     out = []
-    for number, (about, rings) in enumerate(_read(path, "--woods"), 1):
+    for number, (about, polygons) in enumerate(_read(path, "--woods"), 1):
         canopy = about.get("canopy")
         if isinstance(canopy, bool) or not isinstance(canopy, int | float) or not 0.0 <= canopy <= 1.0:
             raise InputError(f"--woods {path}: area {number} needs the property canopy, a share from 0 to 1")
-        out.append(Woods(rings, float(canopy)))
+        out.append(Woods(polygons, float(canopy)))
     return out
 
 
-_Area = tuple[dict[str, Any], list[Array]]  # properties and rings
+_Area = tuple[dict[str, Any], list[Polygon]]  # properties and polygons
 
 
 def _read(path: Path, option: str, xml: str = "") -> list[_Area]:
@@ -82,7 +91,7 @@ def _areas(name: str, data: bytes, xml: str) -> list[_Area]:
     found = [area for area in found if area[1]]
     if not found:
         raise InputError(f"{name}: holds no Polygon")
-    if sum(len(ring) for _, rings in found for ring in rings) > MOST_CORNERS:
+    if sum(len(ring) for _, polygons in found for polygon in polygons for ring in polygon) > MOST_CORNERS:
         raise InputError(f"{name}: more than {MOST_CORNERS} corners")
     return found
 
@@ -108,10 +117,10 @@ def _features(content: object) -> list[_Area]:
     if content.get("type") == "FeatureCollection":
         return [area for one in _list(content.get("features"), "features") for area in _features(one)]
     if content.get("type") != "Feature":
-        return [({}, _rings(content))]
+        return [({}, _polygons(content))]
     about = content.get("properties")
-    rings = [] if content.get("geometry") is None else _rings(content["geometry"])
-    return [(about if isinstance(about, dict) else {}, rings)]
+    polygons = [] if content.get("geometry") is None else _polygons(content["geometry"])
+    return [(about if isinstance(about, dict) else {}, polygons)]
 
 
 def _placemarks(data: bytes) -> list[_Area]:
@@ -119,10 +128,15 @@ def _placemarks(data: bytes) -> list[_Area]:
     root = xml_root(data, "an area needs none")
     if root.tag != "kml":
         raise InputError(f"not KML: its root is {root.tag[:40]!r}")
-    return [
-        ({"name": place.findtext("name", "")}, [_kml_ring(ring) for ring in place.iter("LinearRing")])
-        for place in root.iter("Placemark")
-    ]
+    return [({"name": place.findtext("name", "")}, _kml_polygons(place)) for place in root.iter("Placemark")]
+
+
+def _kml_polygons(place: ET.Element) -> list[Polygon]:
+    """A placemark's polygons, and rings that are in none."""
+    within = [list(polygon.iter("LinearRing")) for polygon in place.iter("Polygon")]
+    known = {id(ring) for rings in within for ring in rings}
+    alone = [[ring] for ring in place.iter("LinearRing") if id(ring) not in known]
+    return [[_kml_ring(ring) for ring in rings] for rings in [*within, *alone] if rings]
 
 
 def _kml_ring(ring: ET.Element) -> Array:
@@ -133,18 +147,19 @@ def _kml_ring(ring: ET.Element) -> Array:
         raise InputError("a corner is longitude and latitude in degrees") from error
 
 
-def _rings(content: object) -> list[Array]:
-    """The rings of a geometry; what is no area is passed over."""
+def _polygons(content: object) -> list[Polygon]:
+    """The polygons of a geometry; what is no area is passed over."""
     if not isinstance(content, dict):
         raise InputError("not GeoJSON: an object is needed")
     kind = content.get("type")
     if kind == "GeometryCollection":
-        return [ring for one in _list(content.get("geometries"), "geometries") for ring in _rings(one)]
+        return [polygon for one in _list(content.get("geometries"), "geometries") for polygon in _polygons(one)]
     if kind == "Polygon":
-        return [_ring(ring) for ring in _list(content.get("coordinates"), "coordinates")]
+        polygon = [_ring(ring) for ring in _list(content.get("coordinates"), "coordinates")]
+        return [polygon] if polygon else []
     if kind == "MultiPolygon":
         polygons = _list(content.get("coordinates"), "coordinates")
-        return [_ring(ring) for polygon in polygons for ring in _list(polygon, "a polygon")]
+        return [[_ring(ring) for ring in rings] for polygon in polygons if (rings := _list(polygon, "a polygon"))]
     return []
 
 

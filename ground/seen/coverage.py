@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from contract.errors import InputError
 from ground.seen.cells import Cells
-from ground.seen.outline import Patch, cells_inside, hull, patches
+from ground.seen.outline import Patch, cells_inside, cells_within, hull, patches
 from ground.seen.tally import TILE, SeenGround, area_m2
 
 Array = NDArray[np.float64]
@@ -64,7 +64,7 @@ class Coverage:
 
 
 def coverage(seen: SeenGround, area: Sequence[Sequence[Array]] | None = None) -> Coverage | None:
-    """The coverage of areas, each of rings (K, 2) of longitude and latitude, or of the convex hull of what was seen.
+    """The coverage of polygons, each of rings (K, 2) of longitude and latitude, or of the convex hull of what was seen.
 
     None if nothing was seen. Raises InputError for an area of too many cells.
     """
@@ -77,9 +77,8 @@ def coverage(seen: SeenGround, area: Sequence[Sequence[Array]] | None = None) ->
     for (row, column), tile in tiles:
         y, x = row * TILE - row0, column * TILE - column0
         mask[y : y + TILE, x : x + TILE] = tile["count"] > 0
-    searched = cells_inside([hull(mask)] if areas is None else [], *mask.shape)
-    for rings in areas or []:
-        searched |= cells_inside([ring - (column0, row0) for ring in rings], *mask.shape)
+    within = [] if areas is None else [[ring - (column0, row0) for ring in rings] for rings in areas]
+    searched = cells_within([[hull(mask)]] if areas is None else within, *mask.shape)
     cell_m2 = cells.area_m2(row0 + np.arange(len(mask)))
     every = np.concatenate([tile[tile["count"] > 0] for _, tile in tiles])
     once = area_m2(cells, tiles, 1)

@@ -18,7 +18,7 @@ from contract.errors import InputError
 from contract.spot import PERSON_GRID, PERSON_M2, SpotReport
 from ground.seen.area import Woods
 from ground.seen.coverage import Coverage
-from ground.seen.outline import cells_inside
+from ground.seen.outline import cells_within
 from ground.seen.picture_cells import PictureCells
 from ground.seen.pictures import Key, Look
 
@@ -252,7 +252,8 @@ def _canopy(over: Coverage, woods: Sequence[Woods]) -> Array:
     rows, columns = over.seen.shape
     out = np.zeros((rows, columns))
     for wood in woods:
-        inside = cells_inside([over.from_lon_lat(ring) for ring in wood.rings], rows, columns)
+        polygons = [[over.from_lon_lat(ring) for ring in rings] for rings in wood.polygons]
+        inside = cells_within(polygons, rows, columns)
         out = np.where(inside, np.maximum(out, wood.canopy), out)
     return out
 
@@ -287,15 +288,15 @@ class SectorDetection:
 
 
 def sector_detection(
-    name: str, rings: Sequence[Array] | None, over: Coverage, by: Detection, wanted: float
+    name: str, polygons: Sequence[Sequence[Array]] | None, over: Coverage, by: Detection, wanted: float
 ) -> SectorDetection:
-    """The detection in rings (K, 2) of longitude and latitude, or in all of the searched area. (23.12)
+    """The detection in polygons of rings (K, 2) of longitude and latitude, or in all of the searched area. (23.12)
 
     Raises InputError for a sector in which there is no cell.
     """
     inside = over.searched
-    if rings is not None:
-        inside = cells_inside([over.from_lon_lat(ring) for ring in rings], *over.seen.shape)
+    if polygons is not None:
+        inside = cells_within([[over.from_lon_lat(ring) for ring in rings] for rings in polygons], *over.seen.shape)
     weights = np.where(inside, over.cell_m2[:, None], 0.0)
     area = float(weights.sum())
     if area <= 0.0:

@@ -62,6 +62,14 @@ def cells_inside(rings: Iterable[Array], rows: int, columns: int) -> Mask:
     return out
 
 
+def cells_within(polygons: Iterable[Iterable[Array]], rows: int, columns: int) -> Mask:
+    """Mask (rows, columns) of the cells whose middles are inside of any polygon, each an outer ring with its holes."""
+    out: Mask = np.zeros((rows, columns), bool)
+    for rings in polygons:
+        out |= cells_inside(rings, rows, columns)
+    return out
+
+
 def hull(mask: Mask) -> Array:
     """Corners (K, 2) of the convex hull of what is marked, counter-clockwise."""
     rows = np.flatnonzero(mask.any(axis=1))

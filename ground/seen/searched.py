@@ -40,8 +40,8 @@ class Searched:
         mask = over.searched.copy()
         if found is not None:
             mask &= found[0] < below
-        named = [(sector.name, sector.rings) for sector in sectors] if sectors else [("", None)]
-        each = [sector_detection(name, rings, over, by, below) for name, rings in named]
+        named = [(sector.name, sector.polygons) for sector in sectors] if sectors else [("", None)]
+        each = [sector_detection(name, polygons, over, by, below) for name, polygons in named]
         return cls(by, each, who, below, gaps(over.cells, over.row0, over.column0, mask))
 
     def to_dict(self) -> dict[str, object]:

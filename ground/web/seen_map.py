@@ -95,7 +95,9 @@ class SeenMap:
         None where nothing was seen. Raises InputError for sectors that reach too far.
         """
         with self._lock:
-            return coverage(self._seen, [sector.rings for sector in sectors] or None), self._seen.looks()
+            return coverage(
+                self._seen, [polygon for sector in sectors for polygon in sector.polygons] or None
+            ), self._seen.looks()
 
     @property
     def version(self) -> int:

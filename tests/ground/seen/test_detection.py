@@ -133,13 +133,13 @@ def test_an_operator_needs_time_and_trees_hide_from_both() -> None:
 
     def sector(**options: object) -> tuple[float, float]:
         shown, by = searched(sets, reports, **options)
-        found = sector_detection("4", [ring()], shown, by, 0.5)
+        found = sector_detection("4", [[ring()]], shown, by, 0.5)
         assert found.machine is not None and found.area_m2 == pytest.approx(900.0, rel=0.1)
         return found.machine[0], found.operator[0]
 
     hasty, thorough = sector(look_s=0.2), sector(look_s=60.0)
     assert hasty[0] == thorough[0] == 1.0 and hasty[1] < 0.2 and thorough[1] > 0.9
-    below_trees = sector(look_s=60.0, woods=[Woods([ring()], 0.75), Woods([ring()], 0.5)])
+    below_trees = sector(look_s=60.0, woods=[Woods([[ring()]], 0.75), Woods([[ring()]], 0.5)])
     assert below_trees == pytest.approx((0.25, 0.25 * thorough[1]))
 
 
@@ -153,7 +153,7 @@ def test_what_was_not_seen_counts_in_a_sector_as_not_found() -> None:
     assert shown is not None
     by = detection(seen.looks(), shown, [report_of(s, 1.0) for s in sets])
     whole, half, none = (
-        sector_detection("", rings, shown, by, 0.5) for rings in ([ring()], [ring(), next_to], [next_to])
+        sector_detection("", rings, shown, by, 0.5) for rings in ([[ring()]], [[ring()], [next_to]], [[next_to]])
     )
     assert [s.machine and s.machine[0] for s in (whole, half, none)] == pytest.approx([1.0, 0.5, 0.0], abs=0.02)
     assert [s.below_m2["machine"] for s in (whole, half, none)] == pytest.approx([0.0, 900.0, 900.0], rel=0.05, abs=30)
