@@ -37,6 +37,7 @@ POLL_S = 0.05
 SILENT_S = 3.0  # without a report, or a pose, after which what was followed, or the view, is not any more
 REST = 1.0  # of the time that it worked, in which it leaves the processor to others
 MOST_REST_S = 0.1
+STOPPED = "stopped before it was answered"
 
 Follow = Callable[[str], tuple[bytes, bool]]
 """Answers requests about tracks: JSON, and whether it is a refusal."""
@@ -75,6 +76,7 @@ class CameraClicks(WokenWork):
         self._followed: _Followed | None = None
         self._placed_s = -math.inf  # when a set came that gives a pose
         self._ended: deque[int] = deque()  # tracks that are to be ended
+        self._stops = 0  # how often nothing more was to be followed
 
     # --- from those who have sets and reports ---
 
@@ -119,7 +121,13 @@ class CameraClicks(WokenWork):
             return out
 
     def stop(self) -> None:
-        """Follow what was clicked no longer."""
+        """Follow what was clicked no longer, nor what a click asks for that is not answered yet."""
+        with self._changed:
+            self._stops += 1
+            self._asked = deque(entry for entry in self._asked if not isinstance(entry[0], VideoClick))
+        self._end_followed()
+
+    def _end_followed(self) -> None:
         with self._changed:
             if self._followed is not None:
                 self._ended.append(self._followed.track)
@@ -160,15 +168,16 @@ class CameraClicks(WokenWork):
         """Answer what can be answered now. Returns the processor's time, s."""
         began_s = time.thread_time()
         self._end_tracks()
-        while (asked := self._next()) is not None:
-            answered = self._clicked(asked) if isinstance(asked, VideoClick) else self._view(asked)
+        while (found := self._next()) is not None:
+            asked, stops = found
+            answered = self._clicked(asked, stops) if isinstance(asked, VideoClick) else self._view(asked)
             with self._changed:
                 self._answered.append(answered)
             self.thread.beat()
         return time.thread_time() - began_s
 
-    def _next(self) -> Asked | None:
-        """The first question, once the sets that it needs are there or have been waited for."""
+    def _next(self) -> tuple[Asked, int] | None:
+        """The first question, once the sets that it needs are there or have been waited for, and the stops before."""
         with self._changed:
             if not self._asked:
                 return None
@@ -179,20 +188,20 @@ class CameraClicks(WokenWork):
                 if newest is None or newest.capture_unix_ns < latest_ns:
                     return None
             self._asked.popleft()
-            return asked
+            return asked, self._stops
 
     def _moment_ns(self, click: VideoClick) -> int:
         return click.arrival_ns - round(self._delay_s * 1e9)
 
-    def _clicked(self, click: VideoClick) -> Clicked:
+    def _clicked(self, click: VideoClick, stops: int) -> Clicked:
         with self._changed:
             sets = [entry.item for entry in self._sets.ordered()]
         found = locate_untimed(sets, click.share, self._moment_ns(click), self._sigma_s)
         if not isinstance(found.answer, Fix):
             return Clicked(click.number, found.answer)
-        self.stop()
+        self._end_followed()
         self._end_tracks()
-        return Clicked(click.number, found.answer, *self._begin(click, found, found.answer))
+        return Clicked(click.number, found.answer, *self._begin(click, found, found.answer, stops))
 
     def _end_tracks(self) -> None:
         """End the tracks of earlier clicks: who is asked may be an aircraft at the other end of a link."""
@@ -203,10 +212,15 @@ class CameraClicks(WokenWork):
                 track = self._ended.popleft()
             self.follow(parameters_of(StopTrack(track)))
 
-    def _begin(self, click: VideoClick, found: UntimedClick, fix: Fix) -> tuple[bool, str]:
-        """Begin to follow what was clicked; whether it is followed now, and else why not."""
+    def _begin(self, click: VideoClick, found: UntimedClick, fix: Fix, stops: int) -> tuple[bool, str]:
+        """Begin to follow what was clicked; whether it is followed now, and else why not.
+
+        Who follows may answer after a stop: what it follows then is ended.
+        """
         with self._changed:
             entry = self._sets.entry(fix.frame)
+            if self._stops != stops:
+                return False, STOPPED
         if self.follow is None or entry is None:
             return False, ""
         uv_px = pixel_at(entry.item.camera, click.share)
@@ -218,6 +232,9 @@ class CameraClicks(WokenWork):
         if not isinstance(track, int):  # who answers may be another program at the end of a link
             return False, "the answer has no track"
         with self._changed:
+            if self._stops != stops:
+                self._ended.append(track)
+                return False, STOPPED
             self._followed = _Followed(track, found.by_delay_m2, self._monotonic_s())
         return True, ""
 

@@ -32,7 +32,7 @@ SAME_TEXT_NS = 5 * NS_PER_S  # between two texts with the same words
 LEAST_INTERVAL_US, MOST_INTERVAL_US = 100_000.0, 3.6e9
 
 # Numbers of MAVLink's common.xml: MAV_RESULT,
-ACCEPTED, BUSY, DENIED, UNSUPPORTED, FAILED, IN_PROGRESS = range(6)
+ACCEPTED, BUSY, DENIED, UNSUPPORTED, FAILED, IN_PROGRESS, CANCELLED = range(7)
 # messages,
 INFORMATION, SETTINGS, STREAM_INFORMATION, STREAM_STATUS, FOV, IMAGE, GEO = 259, 260, 269, 270, 271, 275, 276
 STREAMED = FOV, IMAGE, GEO
@@ -206,6 +206,8 @@ class MavlinkCamera:
         if not self._is_ours(command.parameters[0]):
             return DENIED
         self._end.stop()
+        for number in [n for n, (asked, _) in self._pending.items() if asked.command == CAMERA_TRACK_POINT]:
+            self._acknowledge(self._pending.pop(number)[0], CANCELLED)
         self._fix = None
         return ACCEPTED
 

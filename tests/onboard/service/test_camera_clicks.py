@@ -100,6 +100,28 @@ def test_of_what_is_followed_from_a_moving_camera_the_ellipse_keeps_the_clicks_o
     assert 0.9 < added_m / (2.146 * speed_m_s * 0.3) < 1.1
 
 
+def test_a_stop_ends_a_click_that_waits_and_one_that_is_being_answered() -> None:
+    flight = Flight()
+    flight.fly(20)
+    flight.click()
+    flight.clicks.stop()
+    flight.fly(2)
+    assert not flight.clicks.answers() and flight.tracks.answer("") == (b'{"tracks":[]}', False)
+    follow = flight.tracks.answer
+
+    def stopped_meanwhile(parameters: str) -> tuple[bytes, bool]:
+        answer = follow(parameters)
+        if "u=" in parameters:
+            flight.clicks.stop()
+        return answer
+
+    flight.clicks.follow = stopped_meanwhile
+    flight.click(2)
+    flight.fly(3)
+    assert not flight.answer().is_followed and not flight.clicks.is_following
+    assert flight.tracks.answer("") == (b'{"tracks":[]}', False)
+
+
 def test_a_click_waits_for_the_pictures_of_its_moment_and_not_for_ever() -> None:
     flight = Flight()
     flight.fly(20)

@@ -258,6 +258,19 @@ def test_a_click_that_is_sent_again_is_one_click() -> None:
     assert answered.results() == [ACCEPTED] and len(answered.end.asked) == 2
 
 
+def test_a_stop_cancels_the_clicks_that_are_under_way() -> None:
+    """They were answered, and followed, after it."""
+    virtual = Virtual(None)
+    virtual.click(0.5, 0.5)
+    virtual.send(mavlink.MAVLink_command_long_message(1, 100, 2010, 0, 0, 0, 0, 0, 0, 0, 0))
+    assert [(m.command, m.result) for m in virtual.due()] == [(2004, 6), (2010, ACCEPTED)]
+    assert virtual.end.stopped == 1 and isinstance(FIX, Fix)
+    virtual.end.answers = lambda: [Clicked(1, FIX)]  # type: ignore[method-assign]
+    assert not virtual.due()  # an answer that comes later is none any more
+    virtual.send(mavlink.MAVLink_command_long_message(1, 100, 512, 0, 276, 0, 0, 0, 0, 0, 0))
+    assert [m.result for m in virtual.due()] == [BUSY]
+
+
 def test_a_question_that_no_one_answers_is_given_up_in_the_end() -> None:
     virtual = Virtual(None)
     virtual.click(0.5, 0.5)
