@@ -127,11 +127,10 @@ def _add_replay(commands: Commands) -> None:
     )
     replay.add_argument("--frames", type=Path, metavar="DIR_OR_VIDEO", help="folder of pictures, or a video")
     replay.add_argument(
-        "--telemetry",
-        type=Path,
-        metavar="LOG|exif",
-        help="a log: .tlog, ArduPilot .bin, PX4 .ulg, DJI .srt, tables, tracks (docs/logs.md); exif: from the pictures",
-    )
+        "--telemetry", type=Path, action="append", default=[], metavar="LOG|exif",
+        help="a log: .tlog, ArduPilot .bin, PX4 .ulg, DJI .srt, tables, tracks (docs/logs.md); twice: two logs of one "
+        "flight, each sensor from the better; exif: from the pictures",
+    )  # fmt: skip
     replay.add_argument(
         "--home-amsl-m",
         type=finite,
@@ -430,11 +429,10 @@ def _add_importing(command: argparse.ArgumentParser) -> None:
     """Add the arguments that both imports take."""
     command.add_argument("--out", type=Path, required=True, metavar="FLIGHT", help="folder to write; new or empty")
     command.add_argument(
-        "--telemetry",
-        type=Path,
-        metavar="LOG",
-        help="the log of the flight; else one next to the pictures, or what photographs state",
-    )
+        "--telemetry", type=Path, action="append", default=[], metavar="LOG",
+        help="the log of the flight, or twice: two of it, each sensor from the better; else one next to the pictures, "
+        "or what photographs state",
+    )  # fmt: skip
     command.add_argument(
         "--set",
         action="append",

@@ -24,6 +24,7 @@ from ground.web.startup import check_installed
 EXAMPLES = """examples:
   pc-ground open DJI_0042.MP4                        with DJI_0042.SRT next to it, or the only log in the folder
   pc-ground open GX010042.MP4 00000042.BIN --set camera.fov_deg=69 --set mount.pitch_deg=-45
+  pc-ground open DJI_0042.MP4 --telemetry DJI_0042.SRT --telemetry flightrecord.csv    two logs of one flight
   pc-ground open PHOTOS/                             by the positions in the photographs, or a log next to them
   pc-ground open FLIGHT/                             pictures below it (frames/, DCIM/100MEDIA), and its log
   pc-ground open SESSION.mcap
@@ -51,6 +52,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="the flight's log: .srt, .bin, .tlog, .ulg, tables, tracks (a session: its video)",
     )
     parser.add_argument(
+        "--telemetry", metavar="LOG", type=Path, action="append", default=[],
+        help="the log, named so; with LOG, or twice: two logs of one flight, each sensor from the better",
+    )  # fmt: skip
+    parser.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE",
         help="camera.fov_deg, camera.file or a configuration key such as mount.pitch_deg, not guessed; repeatable",
     )  # fmt: skip
@@ -71,6 +76,8 @@ def run(args: argparse.Namespace) -> int:
     if not args.input.exists():
         raise InputError(f"{args.input}: no such file or folder")
     if is_session(args.input):
+        if args.telemetry:
+            raise InputError(f"{args.input}: a session has its own telemetry: leave --telemetry out")
         session, video = args.input, args.log
     else:
         args.input = _video_in(args.input) or args.input
@@ -137,8 +144,7 @@ def _replayed(args: argparse.Namespace) -> tuple[int, Path]:
 def _import_words(args: argparse.Namespace) -> list[str]:
     """`pc-onboard`'s command that makes the flight, without the folder to write."""
     words = ["import-photos" if args.input.is_dir() else "import-video", str(args.input.resolve())]
-    if args.log is not None:
-        words += ["--telemetry", str(args.log.resolve())]
+    words += [word for log in _logs(args) for word in ("--telemetry", str(log.resolve()))]
     if not any(text.startswith(f"{PICTURES}=") for text in args.set):
         words += ["--set", f"{PICTURES}=jpeg"]
     words += [word for text in args.set for word in ("--set", text)]
@@ -152,12 +158,17 @@ def _import_words(args: argparse.Namespace) -> list[str]:
     return words
 
 
+def _logs(args: argparse.Namespace) -> list[Path]:
+    """The logs that were named, either way."""
+    return [*([] if args.log is None else [args.log]), *args.telemetry]
+
+
 def _name(args: argparse.Namespace, importing: Sequence[str]) -> str:
     """The name of the flight's folder: another for other files or settings."""
-    files = [args.input, *([args.log] if args.log is not None else [])]
+    files = [args.input, *_logs(args)]
     if args.input.is_dir():
         files += _files_below(args.input)
-    elif args.log is None:
+    elif not _logs(args):
         files += sorted(args.input.resolve().parent.iterdir())
     stats = [(str(path), path.stat().st_size, path.stat().st_mtime_ns) for path in files if path.is_file()]
     digest = hashlib.sha256(repr((IMPORT, importing, stats)).encode()).hexdigest()

@@ -21,12 +21,14 @@ from onboard.camera.pixel_formats import UNDECODABLE
 from onboard.commands.imported_flight import Row
 from onboard.config.schema import Config
 from onboard.events.types import PositionFix
-from onboard.foreign_clock.clock_search import REACH_S, Clock, Evidence, Stated, Unknown, search
+from onboard.foreign_clock.clock_search import Clock, Evidence, Stated, Unknown, search
 from onboard.foreign_clock.log_track import log_track
 from onboard.foreign_clock.motion_cost import MotionNoise
 from onboard.foreign_clock.picture_pairs import chosen_pairs, measure
 from onboard.replay.runner import check_overlap
+from onboard.telemetry.log_clocks import REACH_S
 from onboard.telemetry.telemetry_log import NS_PER_S, TelemetryLog
+from onboard.telemetry.two_logs import loosened
 
 Picture = NDArray[np.uint8]
 
@@ -80,7 +82,7 @@ def clock_of(
         for tilt, heading in attitudes_deg
         for base_m, height in bases
     ]  # fmt: skip
-    age_sigma_s = config.gps.sigma_latency_s
+    age_sigma_s = loosened(config, log).gps.sigma_latency_s
     found = search(Evidence(track, moments_ns, stamp_sigma_s, pairs, noises, log.shots_ns, age_sigma_s), stated)
     if isinstance(found, Unknown):
         hint = LOCAL_ADVICE if log.utc_sigma_s is None else f"{ADVICE}{advice}"

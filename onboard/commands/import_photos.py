@@ -28,6 +28,7 @@ from onboard.commands.imported_flight import (
     Row,
     check_out,
     config_text,
+    log_rows,
     mount_by_log,
     optics_of,
     options_of,
@@ -41,7 +42,7 @@ from onboard.foreign_clock.clock_search import Stated
 from onboard.replay.photo_telemetry import datum_sigma_m, gap_to_join_s, height_amsl, photo_telemetry, side_lacking
 from onboard.replay.runner import check_overlap
 from onboard.telemetry.geo_reader import GeoPlace, read_geo
-from onboard.telemetry.log_files import format_of, read_log
+from onboard.telemetry.log_files import format_of, read_logs
 from onboard.telemetry.log_formats import SUFFIXES
 from onboard.telemetry.telemetry_log import NS_PER_S, TelemetryLog
 
@@ -105,7 +106,7 @@ def run(arguments: argparse.Namespace) -> int:
     photos, times = _in_order(photos, arguments.utc_offset, next_to(folder, STAMPS))
     optics = optics_of(photos[0].size_px, _focal(photos), folder, settings)
     photos, geo = _placed(photos, arguments.telemetry, next_to(folder, GEO))
-    log_path, log = (None, None) if geo is not None else _log(arguments, folder, photos, times)
+    paths, log = ((), None) if geo is not None else _log(arguments, folder, photos, times)
     stated = _stated(photos, times, arguments.clock_offset)
     if log is not None and not times.is_of_flight:
         stated = against_log(stated, log, arguments.clock_offset is not None)
@@ -130,7 +131,7 @@ def run(arguments: argparse.Namespace) -> int:
         check_overlap(times.stamps_ns, log)
     frames = out / "frames"
     flight = ImportedFlight(
-        out, frames, log_path or out / "telemetry.csv", optics,
+        out, frames, paths or (out / "telemetry.csv",), optics,
         ["file,unix_time_s", *(f"{p.name},{t / 1e9:.6f}" for p, t in zip(photos, times.stamps_ns, strict=True))],
         sections,
     )  # fmt: skip
@@ -140,7 +141,7 @@ def run(arguments: argparse.Namespace) -> int:
         *([("band", rig)] if rig else []),
         ("times", _times_text(times)),
         ("camera", optics.text),
-        *([("log", str(log_path))] if log_path is not None else []),
+        *([] if log is None else log_rows(paths, log)),
         *([("places", str(geo))] if geo is not None else []),
         *assumed,
     ]
@@ -151,7 +152,7 @@ def run(arguments: argparse.Namespace) -> int:
     for photo in photos:
         _place(folder / photo.name, frames / photo.name, arguments.copy)
     if log is None:
-        flight.telemetry.write_text(_telemetry_table(photos, times))
+        (out / "telemetry.csv").write_text(_telemetry_table(photos, times))
     flight.print_assumed()
     return 0
 
@@ -173,39 +174,44 @@ def _rows_of(photo: PhotoMetadata, optics: Optics, sections: dict[str, dict[str,
 
 def _log(
     arguments: argparse.Namespace, folder: Path, photos: list[PhotoMetadata], times: _Times
-) -> tuple[Path | None, TelemetryLog | None]:
-    """The log that was named; else none if the pictures state where they were; else one that lies with them."""
-    path: Path | None = arguments.telemetry
-    if path is None:
+) -> tuple[tuple[Path, ...], TelemetryLog | None]:
+    """The log or the two that were named; else none if the pictures state where they were; else one that lies with
+    them.
+    """
+    paths: tuple[Path, ...] = tuple(arguments.telemetry)
+    if not paths:
         if any(photo.lat_deg is not None for photo in photos):
             photo_telemetry(photos, times.stamps_ns, None)  # whether it is complete
-            return None, None
-        path = log_of(folder, arguments.folder)
-    if path is None:
+            return (), None
+        found = log_of(folder, arguments.folder)
+        paths = () if found is None else (found,)
+    if not paths:
         raise InputError(
             f"{folder}: no GPS position with a height in {photos[0].name}{side_lacking(photos[0])} and the others, and "
             f"no log next to them: give a log of the flight ({', '.join(SUFFIXES)})"
         )
-    log = read_log(path, options_of(arguments.home_amsl_m, settings_of(arguments.set)))
-    return path, log if log.shots_ns else replace(log, shots_ns=shots_in_folder(folder))
+    log = read_logs(paths, options_of(arguments.home_amsl_m, settings_of(arguments.set)))
+    return paths, log if log.shots_ns else replace(log, shots_ns=shots_in_folder(folder))
 
 
 def _placed(
-    photos: list[PhotoMetadata], named: Path | None, found: Path | None
+    photos: list[PhotoMetadata], named: list[Path], found: Path | None
 ) -> tuple[list[PhotoMetadata], Path | None]:
     """The photographs where a file of positions has them, and that file: the one that was named, else one that lies
     with them, which replaces what they state, as OpenDroneMap takes it. Raises InputError where it lacks some of them.
     """
-    if named is not None:
-        form = format_of(named)
-        path = named if form is not None and form.key == "geo" else None
+    if len(named) == 1:
+        form = format_of(named[0])
+        path = named[0] if form is not None and form.key == "geo" else None
+    elif named:
+        path = None
     else:
         path = found
     if path is None:
         return photos, None
     places = read_geo(path)
     without = [photo.name for photo in photos if photo.name not in places]
-    if len(without) == len(photos) and named is None:
+    if len(without) == len(photos) and not named:
         return photos, None  # of other pictures
     if without:
         raise InputError(f"positions {path}: none of {without[0]}, nor of {len(without) - 1} more of the photographs")

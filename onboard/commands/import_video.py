@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -20,6 +21,7 @@ from onboard.commands.imported_flight import (
     ImportedFlight,
     check_out,
     config_text,
+    log_rows,
     mount_by_log,
     optics_of,
     options_of,
@@ -30,7 +32,7 @@ from onboard.config.schema import parse_config
 from onboard.foreign_clock.clock_search import Stated
 from onboard.replay.digital_zoom import SIGMA_EQUIVALENT, equivalent_px
 from onboard.replay.runner import check_overlap
-from onboard.telemetry.log_files import read_log
+from onboard.telemetry.log_files import read_logs
 from onboard.telemetry.log_formats import SUFFIXES
 from onboard.telemetry.mp4_container import creation_ns
 from onboard.telemetry.telemetry_log import NS_PER_S, TelemetryLog
@@ -57,21 +59,21 @@ def run(arguments: argparse.Namespace) -> int:
     settings = settings_of(arguments.set)
     check_out(arguments.out)
     size_px = _size(video)
-    log_path = (
-        arguments.telemetry or log_in_folder(video.parent, video.stem) or (video if has_telemetry(video) else None)
-    )
-    if log_path is None:
+    named: list[Path] = arguments.telemetry
+    found = None if named else log_in_folder(video.parent, video.stem) or (video if has_telemetry(video) else None)
+    paths = named if found is None else [found]
+    if not paths:
         what = other_telemetry(video)
         raise InputError(
             f"{video}: no log of the flight next to it ({', '.join(SUFFIXES)}): name one"
             + f". In the video is {what}" * bool(what)
         )
-    log = read_log(log_path, options_of(arguments.home_amsl_m, settings))
+    log = read_logs(paths, options_of(arguments.home_amsl_m, settings))
     times_s = frame_times_s(video)
     if not times_s:
         raise InputError(f"{video}: no time stamps on its frames: give replay --stamps with index,unix_time_s")
     began = _beginning(video, log, arguments)
-    optics = optics_of(size_px, _focal(log, log_path, size_px), video.parent, settings)
+    optics = optics_of(size_px, _focal(log, paths, size_px), video.parent, settings)
     sections, mount = mount_by_log(log)
     rows = rolling_shutter(sections)
     moments_ns = [began.unix_ns + round(time_s * 1e9) for time_s in times_s]
@@ -89,14 +91,14 @@ def run(arguments: argparse.Namespace) -> int:
         assumed.append(clock_row(clock))
     stamps_ns = [began.unix_ns + round(time_s * 1e9) for time_s in times_s]
     check_overlap(stamps_ns, log)
-    flight = ImportedFlight(arguments.out, video, log_path, optics, ["index,unix_time_s"], sections)
+    flight = ImportedFlight(arguments.out, video, tuple(paths), optics, ["index,unix_time_s"], sections)
     flight.stamps += [f"{index},{stamp / 1e9:.6f}" for index, stamp in enumerate(stamps_ns)]
     is_thinned = (len(times_s) - 1) / max(times_s[-1], 1e-3) > 1.1 * RATE_HZ
     flight.rows = [
         ("video", f"{len(times_s)} frames, {rate_text(times_s)}" + f", {RATE_HZ:g} of them taken" * is_thinned),
         ("times", f"the frames' own, from {_utc(began.unix_ns)}: {began.source}"),
         ("camera", optics.text),
-        ("log", f"{log_path}"),
+        *log_rows(paths, log),
         *assumed,
     ]
     flight.replay = ["--rate", f"{RATE_HZ:g}"] if is_thinned else []
@@ -124,7 +126,7 @@ def _beginning(video: Path, log: TelemetryLog, arguments: argparse.Namespace) ->
     """Return the beginning by the subtitles, else as given, by the name, or by the file. Raises InputError."""
     if log.video_epoch_ns is not None:
         return _Beginning(log.video_epoch_ns, "as the subtitles count")
-    if log.video_began is not None and arguments.telemetry in (None, video) and arguments.start is None:
+    if log.video_began is not None and set(arguments.telemetry) <= {video} and arguments.start is None:
         began_ns, sigma_s = log.video_began
         source = "the receiver's times in it"
         return _Beginning(began_ns, source, Stated(0.0, sigma_s, source))
@@ -143,13 +145,13 @@ def _beginning(video: Path, log: TelemetryLog, arguments: argparse.Namespace) ->
     raise InputError(f"{video}: nothing states when it began: give --start, in UTC, as 2026-06-12T10:15:23.4Z")
 
 
-def _focal(log: TelemetryLog, path: Path, size_px: tuple[int, int]) -> Focal | None:
+def _focal(log: TelemetryLog, paths: Sequence[Path], size_px: tuple[int, int]) -> Focal | None:
     """The focal length that subtitles name first, equivalent to 35 mm film."""
     if not log.focal_mm:
         return None
     (_, equivalent_mm), *_ = log.focal_mm
     focal_px = equivalent_px(equivalent_mm, size_px)
-    source = f"focal_len {equivalent_mm:g} mm in {path.name}"
+    source = f"focal_len {equivalent_mm:g} mm in {' or '.join(path.name for path in paths)}"
     return Focal(focal_px, focal_px, SIGMA_EQUIVALENT * focal_px, source)
 
 

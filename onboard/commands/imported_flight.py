@@ -53,7 +53,7 @@ class ImportedFlight:
 
     out: Path
     frames: Path
-    telemetry: Path
+    telemetry: tuple[Path, ...]  # the flight's log, or its two
     optics: Optics
     stamps: list[str]  # lines of stamps.csv, its header first
     sections: dict[str, dict[str, str]] = field(default_factory=dict)
@@ -74,11 +74,13 @@ class ImportedFlight:
         width = max(len(name) for name, _ in self.rows)
         print("\n".join(f"{name:<{width}}  {text}" for name, text in self.rows))
         print(f"written: {self.out}; to change what was assumed: --set KEY=VALUE, or edit its config.toml, camera.json")
-        files = {
-            "config": self.out / "config.toml", "frames": self.frames, "telemetry": self.telemetry,
-            "camera": self.out / "camera.json", "stamps": self.out / "stamps.csv", "out": self.out / "session.mcap",
-        }  # fmt: skip
-        options = [word for name, path in files.items() for word in (f"--{name}", str(path))]
+        files = [
+            ("config", self.out / "config.toml"), ("frames", self.frames),
+            *(("telemetry", path) for path in self.telemetry),
+            ("camera", self.out / "camera.json"), ("stamps", self.out / "stamps.csv"),
+            ("out", self.out / "session.mcap"),
+        ]  # fmt: skip
+        options = [word for name, path in files for word in (f"--{name}", str(path))]
         print(shlex.join(["pc-onboard", "replay", *options, *self.replay]), flush=True)
 
 
@@ -244,6 +246,12 @@ def _toml(value: object) -> str:
     if isinstance(value, list):
         return "[" + ", ".join(_toml(each) for each in value) + "]"
     return json.dumps(value) if isinstance(value, str | bool) else repr(value)
+
+
+def log_rows(paths: Sequence[Path], log: TelemetryLog) -> list[Row]:
+    """What is listed of the flight's logs: their names, and how two were joined."""
+    joining = [("logs", log.notes[-1])] if len(paths) > 1 else []
+    return [("log", " and ".join(str(path) for path in paths)), *joining]
 
 
 def shots_in_folder(folder: Path) -> tuple[int, ...]:

@@ -46,6 +46,7 @@ from onboard.storage.elevation_files import TerrainFiles
 from onboard.storage.mcap_reader import RecordedFlight
 from onboard.storage.mcap_writer import SessionRecorder
 from onboard.storage.rotating_recorder import software_version
+from onboard.telemetry.two_logs import loosened
 
 
 @dataclass(frozen=True)
@@ -118,7 +119,7 @@ def run(arguments: argparse.Namespace, stop: threading.Event) -> tuple[str, bool
 def _open_files(arguments: argparse.Namespace) -> _Inputs:
     """Pictures and an autopilot's log."""
     needed = {"--frames": arguments.frames, "--telemetry": arguments.telemetry, "--camera": arguments.camera}
-    missing = [name for name, path in needed.items() if path is None]
+    missing = [name for name, given in needed.items() if not given]
     if missing:
         raise InputError(f"replay needs a recording, or pictures and a log: {' and '.join(missing)} missing")
     config = Config() if arguments.config is None else load_config_files(arguments.config)
@@ -136,6 +137,9 @@ def _open_files(arguments: argparse.Namespace) -> _Inputs:
         boot_unix_s=arguments.time_offset,
         max_rate_hz=arguments.rate,
     )
+    if flight.telemetry.tied.sigma_s > 0.0:
+        config = loosened(config, flight.telemetry)
+        config_text = recorded_toml(config)
     for note in flight.notes:
         print(f"note: {note}", file=sys.stderr)
     return _Inputs(config, config_text, flight.camera, "", flight, None)
@@ -143,7 +147,7 @@ def _open_files(arguments: argparse.Namespace) -> _Inputs:
 
 def _open_recording(arguments: argparse.Namespace) -> _Inputs:
     """A session as the daemon recorded it, with its own configuration unless another is asked for."""
-    given = [f"--{name}" for name in ("frames", "telemetry", "stamps") if getattr(arguments, name) is not None]
+    given = [f"--{name}" for name in ("frames", "telemetry", "stamps") if getattr(arguments, name)]
     if given:
         raise InputError(f"a recording brings its own pictures and telemetry: leave {' and '.join(given)} out")
     recorded = RecordedFlight.open(arguments.recording)

@@ -18,6 +18,7 @@ from onboard.foreign_clock.picture_pairs import Pairs
 from onboard.foreign_clock.shot_cost import shot_cost
 from onboard.geometry.robust import median_chi2
 from onboard.navigation.limits import CLEAR, MOST_OF
+from onboard.telemetry.log_clocks import REACH_S
 
 Array = NDArray[np.float64]
 
@@ -25,7 +26,6 @@ STEP_S, FINE_S = 0.1, 0.02  # of the offsets compared, everywhere and about the 
 CLOSE = np.linspace(-1.0, 1.0, 41)  # about a minimum, of as far as it reaches
 NEAR_S = 1.0  # within which two offsets are the same minimum
 WIDEST_S = 1.1  # one sigma at most that the flight itself can resolve
-REACH_S = 15.0 * 3600.0  # of clocks: any zone
 ASTRAY = 1e-3  # how likely what is stated is wrong altogether
 COARSE_PAIRS, KEPT = 40, 400  # in a first pass over all offsets, and how many of them all pairs judge then
 MISFIT = 6.0  # times the variance expected, from which on a log is not that of the pictures

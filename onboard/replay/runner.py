@@ -30,7 +30,7 @@ from onboard.events.types import Event, Frame
 from onboard.pipeline.estimates import as_rows
 from onboard.replay.digital_zoom import at_one_zoom, optical_zoom
 from onboard.replay.photo_telemetry import check_gaps, photo_telemetry
-from onboard.telemetry.log_files import read_log
+from onboard.telemetry.log_files import read_logs
 from onboard.telemetry.read_options import ReadOptions
 from onboard.telemetry.srt_axis_order import Order
 from onboard.telemetry.telemetry_log import TelemetryLog
@@ -67,7 +67,7 @@ class Flight:
         config: Config,
         camera: Camera,
         frames: Path | str,
-        telemetry: Path | str,
+        telemetry: Path | str | Sequence[Path | str],
         stamps: Path | str | None,
         home_amsl_m: float | None = None,
         gps_order: Order | None = None,
@@ -76,15 +76,19 @@ class Flight:
     ) -> Flight:
         """Open both inputs; raises InputError, one line, if either is unusable or they do not overlap in time.
 
-        `telemetry` is a log, or the word "exif": what the pictures themselves state. `home_amsl_m`, `gps_order`,
-        `boot_unix_s`: see `ReadOptions`. `max_rate_hz`: pictures closer together are left out.
+        `telemetry` is a log, or two of one flight, or the word "exif": what the pictures themselves state.
+        `home_amsl_m`, `gps_order`, `boot_unix_s`: see `ReadOptions`. Pictures closer together than
+        `max_rate_hz` are left out.
         """
-        if str(telemetry) == EXIF:
+        logs = [telemetry] if isinstance(telemetry, str | Path) else list(telemetry)
+        if EXIF in map(str, logs):
+            if len(logs) > 1:
+                raise InputError("--telemetry exif: pictures that state where they were go without a log")
             return cls._of_photos(config, camera, frames, stamps, max_rate_hz)
         whole = config.camera.sigma_jitter_s >= WHOLE_SECOND_SIGMA_S
         line, gimbal = config.telemetry, config.mount.gimbal_component
         stated = line.clock, home_amsl_m, gps_order, boot_unix_s, gimbal, line.system, config.gps.undulation_m
-        log = read_log(telemetry, ReadOptions(*stated))
+        log = read_logs(logs, ReadOptions(*stated))
         latency_s, in_colour = config.camera.latency_s, config.recording.pictures == "jpeg"
         source = open_frames(
             frames, camera, stamps, latency_s, whole, log.video_epoch_ns, max_rate_hz, in_colour, config.thermal.enabled

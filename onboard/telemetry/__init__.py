@@ -6,7 +6,8 @@ Public:
 - `autopilot_search`: `FoundAutopilot`, `candidates`, `is_slow`, `listen`
 - `factory`: `open_telemetry`
 - `geo_reader`: `GeoPlace`, `read_geo`
-- `log_files`: `format_of`, `logs_among`, `read_log`
+- `log_clocks`: `REACH_S`
+- `log_files`: `format_of`, `logs_among`, `read_log`, `read_logs`
 - `log_formats`: `SUFFIXES`
 - `mavlink_passage`: `SIGNATURE_BYTES`
 - `mp4_container`: `creation_ns`
@@ -15,5 +16,6 @@ Public:
 - `row_events`: `SIGMA_GEOID_M`, `SIGMA_PRESSURE_HEIGHT_M`
 - `srt_axis_order`: `Order`
 - `telemetry_log`: `MAX_GAP_S`, `NS_PER_S`, `TelemetryLog`, `quaternion`, `vouched`
+- `two_logs`: `loosened`
 - `video_reader`: `has_telemetry`, `other_telemetry`
 """

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from contract.errors import InputError
@@ -9,6 +11,7 @@ from onboard.telemetry import csv_reader, ulog_reader
 from onboard.telemetry.log_formats import POSITIONS_ALONE, READ, SUFFIXES, LogFormat, read_as, recognised
 from onboard.telemetry.read_options import ReadOptions
 from onboard.telemetry.telemetry_log import TelemetryLog
+from onboard.telemetry.two_logs import joined
 
 HEAD_BYTES = 4096
 KNOWN = ", ".join(f"{each.name} ({each.suffix})" for each in READ)
@@ -35,6 +38,27 @@ def read_log(path: Path | str, options: ReadOptions | None = None) -> TelemetryL
         if "not a MAVLink telemetry log" in str(error):
             raise InputError(f"telemetry {path}: not a log of a known kind; known are {KNOWN}") from error
         raise
+
+
+def read_logs(paths: Sequence[Path | str], options: ReadOptions | None = None) -> TelemetryLog:
+    """Read the log of a flight, or its two as one. Raises InputError as `read_log` does, and where they are not of one
+    flight.
+    """
+    options = options or ReadOptions()
+    if len(paths) == 1:
+        return read_log(paths[0], options)
+    if len(paths) != 2:
+        raise InputError(f"--telemetry: one log of a flight, or two, not {len(paths)}")
+    first, second = Path(paths[0]), Path(paths[1])
+    if first.resolve() == second.resolve():
+        raise InputError(f"telemetry {first}: named twice")
+    # A PX4 log's own clock alone may have to be stated.
+    has_ulg = any(_head(path).startswith(ulog_reader.MAGIC) for path in (first, second))
+    others = replace(options, boot_unix_s=None) if has_ulg else options
+    logs = [
+        read_log(path, options if _head(path).startswith(ulog_reader.MAGIC) else others) for path in (first, second)
+    ]
+    return joined(logs[0], logs[1], (first, second))
 
 
 def logs_among(paths: list[Path]) -> list[Path]:

@@ -22,6 +22,18 @@ STANDING_NS = 1_000_000_000  # a position that stands still is taken again this 
 MAX_GAP_S = 10.0  # positions farther apart are joined by no configuration
 
 
+@dataclass(frozen=True)
+class Tied:
+    """What a log that was made of two adds to the errors of its stamps: `sigma_s`, one sigma of their clocks' tie.
+
+    `are_angles_moved`: attitudes come from the log whose clock was moved; `is_mixed`: positions come from the other.
+    """
+
+    are_angles_moved: bool = False
+    is_mixed: bool = False
+    sigma_s: float = 0.0
+
+
 @dataclass(frozen=True, eq=False)
 class TelemetryLog:
     """Events in order of arrival, each with its arrival time (ns, same length).
@@ -33,7 +45,8 @@ class TelemetryLog:
     should know of how the log was read, one line each. `shots_ns`: when a camera's shutter was triggered or reported.
     `video_began`: when the video began that the log lies in (ns), by a receiver whose delay is not known, and one sigma
     of that (s). `utc_sigma_s`: one sigma of the stamps against UTC, 0 of a receiver's or of a clock that the
-    configuration states; None where they are local times of no stated zone, which nothing ties to UTC.
+    configuration states; None where they are local times of no stated zone, which nothing ties to UTC. `tied`: of two
+    logs that were joined.
     """
 
     events: list[NavEvent]
@@ -47,6 +60,7 @@ class TelemetryLog:
     shots_ns: tuple[int, ...] = ()
     utc_sigma_s: float | None = 0.0
     video_began: tuple[int, float] | None = None
+    tied: Tied = Tied()
 
     @classmethod
     def by_stamp(cls, events: Iterable[NavEvent], boot_segments: int = 1) -> TelemetryLog:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import argparse
 import csv
 import json
 import resource
+import subprocess
 import urllib.request
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -12,6 +14,7 @@ from typing import Any
 
 import pytest
 
+from ground.web import open_command
 from tests.own_flights import write_named_photographs, write_video
 from tests.rest_long import rest_long
 from tests.scenarios.flights import simulated
@@ -100,6 +103,28 @@ def _answers(chromium: Any, server: Opened) -> None:
         operator.check()
     finally:
         operator.context.close()
+
+
+def test_two_logs_reach_the_import_and_name_the_flight(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[list[str]] = []
+
+    def output(command: list[str]) -> subprocess.CompletedProcess[str]:
+        asked.append(command)
+        return subprocess.CompletedProcess(command, 2, "")
+
+    monkeypatch.setattr(open_command, "_output", output)
+    monkeypatch.setattr(open_command, "pc_onboard", lambda: "pc-onboard")
+    video, one, other = (tmp_path / name for name in ("a.mp4", "a.srt", "record.csv"))
+    for path in (video, one, other):
+        path.write_bytes(b"x")
+    parser = argparse.ArgumentParser()
+    open_command.add_arguments(parser)
+    for words in (["--telemetry", one, "--telemetry", other], [one, "--telemetry", other]):
+        assert open_command.run(parser.parse_args(list(map(str, [video, *words])))) == 2
+    assert open_command.run(parser.parse_args([str(video), str(one)])) == 2
+    two, same, single = ([c[i + 1] for i, word in enumerate(c) if word == "--telemetry"] for c in asked)
+    assert two == same == [str(one), str(other)] and single == [str(one)]
+    assert asked[0][-1] == asked[1][-1] != asked[2][-1]  # the folder of the flight
 
 
 def test_a_session_without_pictures_says_why_and_what_helps(

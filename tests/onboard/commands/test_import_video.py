@@ -19,7 +19,7 @@ from onboard.config.files import load_config_files
 from onboard.events.types import Attitude, PositionFix
 from onboard.telemetry.log_files import read_log
 from onboard.telemetry.mp4_container import creation_ns
-from simulation.flight import RecordedSpec
+from simulation.flight import RecordedSpec, find_recording
 from simulation.session import SessionSpec
 from tests.onboard.telemetry.log_writers import T0_S, gopro_seconds, with_track, written
 from tests.own_flights import set_creation, vary_rate, write_video
@@ -239,6 +239,30 @@ def test_a_beginning_that_is_off_is_found_by_the_frames_own_motion(
     first = (tmp_path / "flight" / "stamps.csv").read_text().splitlines()[1]
     assert float(first.split(",")[1]) == pytest.approx(began_s + zone_s, abs=0.1)
     assert load_config_files(tmp_path / "flight" / "config.toml").camera.sigma_latency_s < 0.2
+
+
+def test_two_logs_of_the_flight_are_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The subtitles have the video's own time, the flight record the angles; its clock shows local time, and is off."""
+    spec = SessionSpec(
+        RecordedSpec("plane_turn", 3.0, whole_log=True), seconds=40.0, rate_hz=1.0, clicks_per_frame=1,
+        camera=Camera.from_field_of_view(64, 48, 70.0),
+    )  # fmt: skip
+    session = simulated(spec)
+    video = tmp_path / "DJI_0042.MP4"
+    write_video(session, video)
+    (subtitles,) = (path for path in tmp_path.iterdir() if path.suffix.lower() == ".srt")
+    record = local_record(session / "telemetry.tlog", tmp_path / "record.csv", 13 * 3600.0 + 7.3)
+    logs = ("--telemetry", subtitles, "--telemetry", record)
+    assert imported(tmp_path, video, *logs, "--set", "camera.fov_deg=70") == 0
+    printed = capsys.readouterr().out
+    assert "attitude from record.csv" in printed and "clock of record.csv moved by -468" in printed
+    assert f"--telemetry {subtitles} --telemetry {record}" in printed.splitlines()[-1]
+    assert load_config_files(tmp_path / "flight" / "config.toml").solve.attitude == "autopilot"
+    shutil.rmtree(tmp_path / "flight")
+    other = local_record(find_recording("plane_glitch")[0], tmp_path / "other.csv", 0.0)
+    assert imported(tmp_path, video, "--telemetry", subtitles, "--telemetry", other) == 2
+    complaint = capsys.readouterr().err
+    assert "other.csv: not two logs of one flight" in complaint and complaint.count("\n") == 1
 
 
 def test_a_gopro_s_own_track_is_its_log_and_another_s_is_named(
