@@ -86,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
                 e
                 for e in (
                     *(cot.event(mark, now_ns, stale_s) for mark in marks),
-                    *(cot.aircraft_event(s, now_ns, stale_s) for s in sets),
+                    *(event for s in sets for event in cot.aircraft_events(s, now_ns, stale_s)),
                     *(cot.track_event(report, now_ns, args.period + LOST_AFTER_S) for report in tracks),
                 )
                 if e is not None

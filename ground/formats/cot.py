@@ -15,8 +15,12 @@ from functools import partial
 
 import numpy as np
 
+from contract.answer import Fix
 from contract.errors import InputError
 from contract.feature_set import FeatureSet, HeightDatum
+from contract.locate import Locator
+from contract.mavlink_camera.messages import fields_of_view_deg
+from contract.rotations import R_ENU_NED, R_GIMBAL_CAM, euler_from_matrix
 from contract.track import TrackReport, TrackState
 from contract.xml_text import element
 from ground.circular_error import CE90_SIGMAS, LE90_SIGMAS, ce90_m, le90_m
@@ -32,6 +36,7 @@ _DECLARATION = re.compile(r"<\?xml[^>]*\?>")
 AIRCRAFT = "a-f-A-M-F-Q"  # friendly, airborne, military-style code for an unmanned aircraft: what TAK shows as a drone
 FOUND = "b-m-p-s-p-i"  # a sensor's point of interest: what a program found and no person has confirmed
 FOLLOWED = "a-u-G"  # something on the ground that no person has identified
+INTEREST = "b-m-p-s-p-i"  # where a sensor looks
 OURS = "__pointclick"  # a pin's own fields; programs ignore details that are unknown to them
 # Colours of ATAK's spot map, as signed ARGB.
 _UNCONFIRMED = -65281  # magenta
@@ -61,11 +66,19 @@ def event(mark: Mark, now_unix_ns: int, stale_s: float) -> str | None:
     return ET.tostring(root, encoding="unicode")
 
 
-def aircraft_event(s: FeatureSet, now_unix_ns: int, stale_s: float) -> str | None:
-    """The event of an aircraft where its picture was taken; None for a set without a position."""
+def aircraft_events(s: FeatureSet, now_unix_ns: int, stale_s: float) -> list[str]:
+    """The aircraft where its picture was taken, with its camera's view, and what is in the middle of that, if it is
+    ground; nothing for a set without a position.
+    """
     if not s.is_ok:
-        return None
-    root = _event(f"pointclick.{s.vehicle}", AIRCRAFT, "m-g", now_unix_ns, s.capture_unix_ns, stale_s)
+        return []
+    middle = Locator(s).locate((0.5 * (s.camera.width_px - 1), 0.5 * (s.camera.height_px - 1)))
+    aircraft = _aircraft_event(s, middle if isinstance(middle, Fix) else None, now_unix_ns, stale_s)
+    return [aircraft, *([_interest_event(s, middle, now_unix_ns, stale_s)] if isinstance(middle, Fix) else [])]
+
+
+def _aircraft_event(s: FeatureSet, middle: Fix | None, now_unix_ns: int, stale_s: float) -> str:
+    root = _event(_uid(s), AIRCRAFT, "m-g", now_unix_ns, s.capture_unix_ns, stale_s)
     height: float | None = s.camera_height_m
     if s.height_datum is HeightDatum.AMSL:
         height = None if math.isnan(s.undulation_m) else s.camera_height_m + s.undulation_m
@@ -73,10 +86,48 @@ def aircraft_event(s: FeatureSet, now_unix_ns: int, stale_s: float) -> str | Non
     _point(root, s.camera_lat_deg, s.camera_lon_deg, height, ce, le)
     detail = element(root, "detail")
     element(detail, "contact", callsign=s.vehicle)
+    _sensor(detail, s, middle)
     datum = "AMSL" if s.height_datum is HeightDatum.AMSL else "above the WGS84 ellipsoid"
     element(
         detail, "remarks",
         f"camera of {s.vehicle}; +-{ce:.1f} m (CE90), height {s.camera_height_m:.1f} m {datum} +-{le:.1f} m (LE90)",
+    )  # fmt: skip
+    return ET.tostring(root, encoding="unicode")
+
+
+def _uid(s: FeatureSet) -> str:
+    return f"pointclick.{s.vehicle}"
+
+
+def _sensor(detail: ET.Element, s: FeatureSet, middle: Fix | None) -> None:
+    """The camera's view, as TAK draws it: angles in degrees, azimuth from true north to where it looks (straight down:
+    to the picture's top), elevation above the horizon; the range in metres to what is in its middle, where that is
+    known. A lens that is not calibrated out to its edges has no view.
+    """
+    across, upright = fields_of_view_deg(s.camera)
+    if math.isnan(across) or math.isnan(upright):
+        return
+    roll, elevation, azimuth = np.degrees(euler_from_matrix(R_ENU_NED.T @ s.R_enu_cam @ R_GIMBAL_CAM.T)).tolist()
+    range_m = {} if middle is None else {"range": f"{float(np.linalg.norm(middle.offset_enu_m)):.1f}"}
+    element(
+        detail, "sensor", azimuth=f"{azimuth % 360.0:.2f}", elevation=f"{elevation:.2f}", roll=f"{roll:.2f}",
+        fov=f"{across:.2f}", vfov=f"{upright:.2f}", north="0", type="r-e", version="0.6", model="camera", **range_m,
+    )  # fmt: skip
+
+
+def _interest_event(s: FeatureSet, middle: Fix, now_unix_ns: int, stale_s: float) -> str:
+    """What is in the middle of an aircraft's picture, linked to the aircraft's own event."""
+    root = _event(f"{_uid(s)}.SPI1", INTEREST, "m-g", now_unix_ns, s.capture_unix_ns, stale_s)
+    p = middle.place
+    _point(
+        root, p.lat_deg, p.lon_deg, p.height_ellipsoid_m, ce90_m(p.ellipse.covariance_en_m2), le90_m(p.sigma_height_m)
+    )
+    detail = element(root, "detail")
+    element(detail, "contact", callsign=f"{s.vehicle} view"[:100])
+    element(detail, "link", uid=_uid(s), type=AIRCRAFT, relation="p-p", production_time=root.get("start", ""))
+    element(
+        detail, "remarks",
+        f"middle of the picture of {s.vehicle}; +-{ce90_m(p.ellipse.covariance_en_m2):.1f} m (CE90)",
     )  # fmt: skip
     return ET.tostring(root, encoding="unicode")
 

@@ -266,7 +266,7 @@ def test_pins_and_aircraft_go_out_as_events(
     listener = Listener(kind)
     assert run(capsys, "cot", "--to", listener.url, "--once", "--from", session, "--pins", pins)[0] == 0
     events = [ET.fromstring(line) for line in listener.lines()]
-    assert [e.get("type") for e in events] == ["b-m-p-s-m", "a-f-A-M-F-Q"]
+    assert [e.get("type") for e in events] == ["b-m-p-s-m", "a-f-A-M-F-Q", "b-m-p-s-p-i"]
     for e in events:
         at = e.find("point")
         assert at is not None and 1.0 < float(at.get("ce", "")) < 100.0
@@ -383,10 +383,11 @@ def test_a_damaged_or_lying_recording_ends_in_a_line_or_an_answer(
 ) -> None:
     """Bytes overwritten anywhere: an answer, a refusal or one line; never a traceback."""
     marks = marks_file(tmp_path / "marks.csv")
+    listener = Listener("udp")  # of several datagrams to where no one listens the second is an error
     words: dict[str, tuple[object, ...]] = {
         "click": ("click", 300, 200), "measure": ("measure", 300, 200, 100, 100), "watch": ("watch",),
         "pins": ("pins", "add", 300, 200, "--pins", pins), "accuracy": ("accuracy", "--truth", marks),
-        "cot": ("cot", "--to", "udp://127.0.0.1:9", "--once", "--only-aircraft"),
+        "cot": ("cot", "--to", listener.url, "--once", "--only-aircraft"),
     }  # fmt: skip
     rng = np.random.default_rng(5)
     whole = Path(session).read_bytes()
@@ -401,4 +402,5 @@ def test_a_damaged_or_lying_recording_ends_in_a_line_or_an_answer(
         status, _, err = run(capsys, *words[command], "--from", path)
         statuses.add(status)
         assert "Traceback" not in err
+    listener.lines()
     assert statuses <= {0, 2, 3} and 0 in statuses

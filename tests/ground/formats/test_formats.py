@@ -29,6 +29,7 @@ from ground.pins.fusion import fuse
 from ground.pins.model import Category, Pin, PinClick
 from tests.ground.pins.flights import sightings
 from tests.ground.pins.test_fusion import TARGET
+from tests.ground.seen.levels import PLACE, level_set
 
 HOSTILE = "<script>alert(1)</script> & \"q\" 'a' ]]> \x00\x1b[31m\u202e\U0001f525 ../../x"
 NOW_NS = 1_790_000_000_123_456_789
@@ -242,6 +243,43 @@ def test_a_tak_library_reads_our_events() -> None:
     assert (e.ce, e.le, e.hae) == pytest.approx((mark.ce90_m, mark.le90_m, mark.height_ellipsoid_m), abs=0.006)
     assert e.staleTime - e.sendTime == 60_000
     assert "CE90" in e.detail.xmlDetail
+
+
+@pytest.mark.parametrize(("tilt_deg", "elevation", "range_m"), [(0.0, -90.0, 100.0), (30.0, -60.0, 115.47)])
+def test_an_aircraft_states_where_its_camera_looks_and_the_point_is_linked_to_it(
+    tilt_deg: float, elevation: float, range_m: float
+) -> None:
+    seen = level_set(tilt_deg=tilt_deg, height_m=100.0)
+    aircraft, interest = (ET.fromstring(xml) for xml in cot.aircraft_events(seen, NOW_NS, 60.0))
+    sensor, link, at = aircraft.find("detail/sensor"), interest.find("detail/link"), interest.find("point")
+    assert sensor is not None and link is not None and at is not None
+    assert float(sensor.get("elevation", "")) == pytest.approx(elevation, abs=0.01)
+    off_north_deg = (float(sensor.get("azimuth", "")) + 180.0) % 360.0 - 180.0
+    assert off_north_deg == pytest.approx(0.0, abs=0.01)
+    assert float(sensor.get("range", "")) == pytest.approx(range_m, rel=0.02)
+    across, upright = (
+        2.0 * math.degrees(math.atan(0.5 * size / focal))
+        for size, focal in zip(seen.camera.size_px, (seen.camera.fx_px, seen.camera.fy_px), strict=True)
+    )
+    assert float(sensor.get("fov", "")) == pytest.approx(across, abs=0.1)
+    assert float(sensor.get("vfov", "")) == pytest.approx(upright, abs=0.1)
+    assert interest.get("type") == "b-m-p-s-p-i" and interest.get("uid") != aircraft.get("uid")
+    assert (link.get("uid"), link.get("type")) == (aircraft.get("uid"), aircraft.get("type"))
+    assert link.get("relation") == "p-p"
+    north_m = PLACE.to_enu(float(at.get("lat", "")), float(at.get("lon", "")), 0.0)[1]
+    assert north_m == pytest.approx(100.0 * math.tan(math.radians(tilt_deg)), abs=1.0)
+    assert 0.0 < float(at.get("ce", "")) < 50.0
+    for xml in cot.aircraft_events(seen, NOW_NS, 60.0):  # TAK's own library reads both
+        takproto.parse_proto(bytearray(takproto.xml2proto(xml, takproto.TAKProtoVer.STREAM)))
+
+
+def test_a_camera_that_looks_at_the_sky_has_a_view_and_no_point() -> None:
+    events = cot.aircraft_events(level_set(tilt_deg=120.0), NOW_NS, 60.0)
+    (aircraft,) = (ET.fromstring(xml) for xml in events)
+    sensor = aircraft.find("detail/sensor")
+    assert sensor is not None and sensor.get("range") is None
+    refused = dataclasses.replace(level_set(), status=Status.TURNING)
+    assert not cot.aircraft_events(refused, NOW_NS, 60.0)
 
 
 def test_what_is_not_known_is_9999999_and_a_refusal_is_no_event() -> None:
