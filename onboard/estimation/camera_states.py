@@ -13,13 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.camera import Camera
-from contract.lens import FISHEYE, MIN_DETERMINANT, PINHOLE
+from contract.lens import FISHEYE, PINHOLE
 from onboard.estimation.information import with_own_variance
 from onboard.estimation.platform_states import STATES
+from onboard.geometry import camera_errors
 
 Array = NDArray[np.float64]
 
-FOCAL_LENGTH, K1, COUNT = 0, 3, 5  # focal length, principal point (x, y), k1, k2
+FOCAL_LENGTH, K1, COUNT = 0, 3, camera_errors.COUNT  # focal length, principal point (x, y), k1, k2
 CERTAIN = 1e-6  # one sigma of a state that is taken to be 0
 READOUT = COUNT  # where that state is, if it is one
 # Of the camera in the state directory: the same coefficient of two models is another number.
@@ -69,28 +70,6 @@ def without_readout(mean: Array, covariance: Array, given: Array, given_covarian
 def taken(states: Array) -> Array:
     """The states that rays were made with: pixels keep the time of their row, whatever the readout is."""
     return np.where(np.arange(len(states)) == READOUT, 0.0, states)
-
-
-def by_states(camera: Camera, x: Array, y: Array) -> Array:
-    """The derivative (K, 5, 2, P) of normalised image coordinates (K, P) of fixed pixels by the states. (15.2)
-
-    `camera` is the one that they were computed with.
-    """
-    rows = np.stack([x.ravel(), y.ravel()])
-    there, along, cross = camera.lens.linearised(rows)
-    there, along = (each.reshape(2, *x.shape).swapaxes(0, 1) for each in (there, along))  # (K, 2, P)
-    out = np.zeros((len(x), COUNT, 2, x.shape[1]))
-    # The change of the distorted coordinates less the distortion's own: both sides of the model must stay equal.
-    np.negative(there, out=out[:, 0])
-    out[:, 1, 0] = -camera.focal_px / camera.fx_px
-    out[:, 2, 1] = -camera.focal_px / camera.fy_px
-    np.negative(camera.lens.by_coefficients(rows).reshape(2, 2, *x.shape).transpose(2, 0, 1, 3), out=out[:, 3:])
-    if camera.lens.is_ideal:
-        return out
-    along, cross = along[:, None], cross.reshape(len(x), 1, 1, -1)
-    det = along.prod(axis=2, keepdims=True) - cross * cross
-    det = np.where(np.abs(det) < MIN_DETERMINANT, MIN_DETERMINANT, det)
-    return (along[:, :, ::-1] * out - cross * out[:, :, ::-1]) / det
 
 
 def seen_through(camera_file: Camera, camera: Camera, states: Array, xy: Array) -> tuple[Camera, Array, Array]:

@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.camera import Camera
-from onboard.estimation.camera_states import COUNT, by_states
+from onboard.estimation.camera_states import COUNT
 from onboard.estimation.factors import RATES, SHIFT, WAVES, ZOOM, Layout, State
 from onboard.estimation.rolling_shutter import Sweep
+from onboard.geometry.camera_errors import by_states
 
 Array = NDArray[np.float64]
 

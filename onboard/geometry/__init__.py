@@ -2,6 +2,7 @@
 
 Public:
 
+- `camera_errors`: `COUNT`, `by_states`
 - `linalg`: `solve_positive`, `solve_small`
 - `planar_ambiguity`: `mirrored`
 - `plane_fit`: `fit_plane`

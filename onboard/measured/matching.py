@@ -1,7 +1,7 @@
 """A place's inverse depth to a part of a step and its error: least-squares matching in all views at once. (29.7)
 
 The clicked patch and each view's are taken at mean zero and length one. What is left between them, r, a step of the
-inverse depth or of the surface's slope explains by J, a wrong pose of the view by P.
+inverse depth or of the surface's slope explains by J.
 """
 
 from __future__ import annotations
@@ -14,13 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from onboard.measured.patches import Patch, Values, by_inverse_depth, by_offset, shifted
+from onboard.measured.patches import Patch, Values, by_inverse_depth, by_view, shifted
 from onboard.measured.views import Features, View
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 ROUNDS = 3
+SMALL_STEP = 0.1  # sigmas of the pictures' noise: another round would change nothing
 LEAST_NOISE = 1e-4  # squared, of a patch of length one: no two pictures agree better
 MOST_STEP = 0.05  # of the inverse depth, relative: what runs farther has found another place
 SLOPE_SIGMA = 1.0  # of d ln w / d (x, y) about the ground's or the picture's: a roof of 45 degrees seen from above
@@ -32,8 +33,7 @@ class Match:
     of the views. `rest`: by how much more than by both the views contradict each other, squared, over what is expected.
 
     `toward_set`: by how much of itself the depth changes to have the errors that the set's features have in common, and
-    `by_modes`, the variance of that. `across_sigmas`: how far the views' patches lie off their epipolar lines, in
-    sigmas, root mean square.
+    `by_common`, the variance of that and of what the camera's own errors do.
     """
 
     inverse_depth_per_m: float
@@ -41,15 +41,14 @@ class Match:
     by_pictures: float
     by_poses: float
     rest: float
-    across_sigmas: float
     toward_set: float
-    by_modes: float
+    by_common: float
     by_surface: float = 0.0  # how uneven the surface is next to the click
 
     @property
     def sigma_per_m(self) -> float:
         """One sigma of the inverse depth. (29.14)"""
-        return math.sqrt((self.by_pictures + self.by_poses) * max(self.rest, 1.0) + self.by_modes + self.by_surface)
+        return math.sqrt((self.by_pictures + self.by_poses) * max(self.rest, 1.0) + self.by_common + self.by_surface)
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,8 +57,7 @@ class Row:
 
     residual: Array  # (n,)
     J: Array  # (n, 3) by inverse depth and slope
-    P: Array  # (n, 6) by the view's pose
-    across: Array  # (n,) by a pixel at right angles to the epipolar line
+    by_pixel: Array  # (n, 2) by the place in the view
     noise: float  # squared, of one pixel of the residual
 
 
@@ -88,7 +86,9 @@ def matched(
         w, slope = w + float(step[0]), slope + step[1:]
         if not abs(w / start[0] - 1.0) < MOST_STEP:
             return None
-    return _with_errors(rows, covariance[0], views, features, (patch.rays[0], w, slope))
+        if step[0] ** 2 < SMALL_STEP**2 * covariance[0, 0]:
+            break
+    return _with_errors(rows, covariance[0], views, features, (patch, w, slope))
 
 
 def linearised(patch: Patch, view: View, w: float, slope: Array, window: Mask) -> Row:
@@ -99,13 +99,11 @@ def linearised(patch: Patch, view: View, w: float, slope: Array, window: Mask) -
     g = by_pixel[window]
     g = (g - g.mean(axis=0)) / length
     g -= np.outer(seen, seen @ g)
-    b, A = by_inverse_depth(patch, view, w)
-    along = g @ b
-    J = np.column_stack([along, w * along[:, None] * by_offset(patch)[window]])
+    along = g @ by_inverse_depth(patch, view, w)
+    J = np.column_stack([along, w * along[:, None] * patch.by_offset[window]])
     residual = clicked - seen
     noise = max(float(residual @ residual) / max(len(residual) - 6, 1), LEAST_NOISE / len(residual))
-    normal = np.array([-b[1], b[0]]) / max(float(np.hypot(*b)), 1e-12)
-    return Row(residual, J, g @ A, g @ normal, noise)
+    return Row(residual, J, g, noise)
 
 
 def normalised(values: Values | Array) -> tuple[Array, float]:
@@ -116,17 +114,17 @@ def normalised(values: Values | Array) -> tuple[Array, float]:
 
 
 def _with_errors(
-    rows: Sequence[Row], by_score: Array, views: Sequence[View], features: Features, found: tuple[Array, float, Array]
+    rows: Sequence[Row], by_score: Array, views: Sequence[View], features: Features, found: tuple[Patch, float, Array]
 ) -> Match:
-    """(29.8) to (29.13). `by_score` (3,): the first row of the normal matrix's inverse; `found`: ray, w, slope."""
-    ray, w, slope = found
+    """(29.8) to (29.13). `by_score` (3,): the first row of the normal matrix's inverse; `found`: what, w, slope."""
+    patch, w, slope = found
     L = [row.J @ by_score / row.noise for row in rows]  # d w / d residual, (n,) of each view
     own = [float(each @ each) * row.noise for each, row in zip(L, rows, strict=True)]
     # Half of the residual's noise is the clicked patch's, the same in all views.
     common = np.sum(L, axis=0)
     noise = float(np.mean([row.noise for row in rows]))
     by_pictures = 0.5 * sum(own) + 0.5 * noise * float(common @ common)
-    c = [each @ row.P for each, row in zip(L, rows, strict=True)]  # d w / d pose, (6,)
+    c, by_camera = _by_views(patch, w, views, [each @ row.by_pixel for each, row in zip(L, rows, strict=True)])
     by_noise = [np.einsum("k,kni->ni", ck, v.by_feature) * v.pixel_sigma_px for ck, v in zip(c, views, strict=True)]
     by_depth = np.sum([ck @ view.by_depth for ck, view in zip(c, views, strict=True)], axis=0)
     posed = [float((each**2).sum()) for each in by_noise]
@@ -137,33 +135,30 @@ def _with_errors(
     # So few differences know their variance badly: widened so that 1.645 sigmas hold 90 % of Student's t.
     student = float(stdtrit(free, 0.95)) / 1.645
     rest = float((apart**2 / (np.array(own) + posed)).sum()) / free * student**2
-    toward_set, unknown = _toward_set(ray, c, w, views, features.modes_cov)
-    return Match(w, slope, by_pictures, by_poses, rest, _across(rows), toward_set, unknown * w * w)
+    # Minus d ln w by what all features have in common: through the poses, and by the camera's errors of themselves.
+    seen = -np.sum([ck @ view.common.by_pose for ck, view in zip(c, views, strict=True)], axis=0) / w
+    missing = np.concatenate([[1.0, *patch.rays[0, :2]], by_camera / w]) - seen
+    toward_set, unknown = _toward_set(missing, views, features.common_cov)
+    return Match(w, slope, by_pictures, by_poses, rest, toward_set, unknown * w * w)
 
 
-def _toward_set(
-    ray: Array, by_poses: Sequence[Array], w: float, views: Sequence[View], cov: Array
-) -> tuple[float, float]:
+def _by_views(patch: Patch, w: float, views: Sequence[View], by_pixel: Sequence[Array]) -> tuple[list[Array], Array]:
+    """Minus d w / d pose, (6,) of each view, and minus d w / d the camera's errors (5,), of all views together.
+
+    `by_pixel`: minus d w / d the click's pixel, (2,) of each view.
+    """
+    each = [by_view(patch, view, w) for view in views]
+    by_pose = [by @ pose for by, (pose, _) in zip(by_pixel, each, strict=True)]
+    return by_pose, np.sum([by @ camera for by, (_, camera) in zip(by_pixel, each, strict=True)], axis=0)
+
+
+def _toward_set(missing: Array, views: Sequence[View], cov: Array) -> tuple[float, float]:
     """The relative change by which a depth that the views give gets the set's common errors, and its variance. (29.13)
 
-    `by_poses`: d w / d pose, (6,) of each view, with the opposite sign.
+    `missing` (8,): what the depth lacks of what is common.
     """
-    seen = -np.sum([ck @ view.modes.by_pose for ck, view in zip(by_poses, views, strict=True)], axis=0) / w
-    missing = np.array([1.0, *ray[:2]]) - seen
     # All views show the same features, whose own depths are the larger part of their errors: together as one view.
-    information = np.mean([view.modes.information for view in views], axis=0)
-    known = np.linalg.solve(np.eye(3) + cov @ information, cov)
-    modes = known @ np.mean([view.modes.toward for view in views], axis=0)
-    return float(missing @ modes), max(float(missing @ known @ missing), 0.0)
-
-
-def _across(rows: Sequence[Row]) -> float:
-    out = []
-    for row in rows:
-        information = float(row.across @ row.across)
-        along = row.J[:, 0]
-        free = row.across - along * float(along @ row.across) / max(float(along @ along), 1e-30)
-        left = float(free @ free)
-        if left > 1e-3 * information:
-            out.append(float(free @ row.residual) / np.sqrt(left * row.noise))
-    return float(np.sqrt(np.mean(np.square(out)))) if out else 0.0
+    information = np.mean([view.common.information for view in views], axis=0)
+    known = np.linalg.solve(np.eye(len(cov)) + cov @ information, cov)
+    common = known @ np.mean([view.common.toward for view in views], axis=0)
+    return float(missing @ common), max(float(missing @ known @ missing), 0.0)

@@ -25,7 +25,7 @@ MOST_VIEWS = 8
 BASELINES = (0.06, 0.12, 0.2, 0.3)
 LEAST_BASELINE, MOST_BASELINE = 0.02, 0.45
 MOST_TURN_COS = 0.8  # of the viewing directions
-KEPT_VIEWS = 32  # of the last clicked pictures; fewer of pictures so large that they take more than the ring does
+KEPT_VIEWS = 64  # of the last clicked pictures; fewer of pictures so large that they take more than the ring does
 # Where a surface may be, as a share of the height above the ground: what stands on it, and a pit.
 ABOVE_SHARE, BELOW_SHARE = 0.25, 0.06
 SIGMAS = 4.0  # of the ground between the features, at least

@@ -1,23 +1,25 @@
 """Other pictures of a clicked one's ground: where their cameras are, seen from the clicked camera. (29.1)
 
 Poses are relative to the clicked picture's: what its set has in common with them cancels. What is measured over its
-features has their common scale, and part of the tilts that they have in common (29.13).
+features has their common scale, and part of the tilts that they have in common; what the camera is off by is the same
+in all of them (29.13).
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from contract.camera import Camera
+from contract.camera import UNKNOWN_SIGMA, Camera
 from contract.feature_set import FeatureSet
 from contract.geodesy import LocalFrame
 from contract.rotations import exp_so3, skew
+from onboard.geometry import camera_errors
 from onboard.geometry.plane_homography import fit_homography, move
 
 Array = NDArray[np.float64]
@@ -33,20 +35,24 @@ LEAST_SHARE = 0.4  # of the features found again that a pose must explain
 PRIOR_SIGMA_PX = 0.3  # of a feature found again, at first
 ROUNDS = 4
 CUT = 3.0  # sigmas
+MODES = 3  # of a set's depths: (1, x, y)
+COMMON = MODES + camera_errors.COUNT
 LEAST_SIGMA_PX, MOST_SIGMA_PX = 0.05, 1.0  # what is off by more was not found again
 
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """A clicked picture's features (N,): pixels, rays (N, 3) at depth one, inverse depth, one sigma of its log, and the
-    covariance (3, 3) of the modes (1, x, y) by which these logs are off together.
+    """A clicked picture's features (N,): pixels, rays (N, 3) at depth one, inverse depth, one sigma of its log, how the
+    rays move with the camera's errors (N, 2, 5), and the covariance (8, 8) of what they have in common: the modes
+    (1, x, y) by which these logs are off together, then the camera's errors.
     """
 
     uv_px: Array
     rays: Array
     inverse_depth_per_m: Array
     relative_sigma: Array
-    modes_cov: Array = field(default_factory=lambda: np.zeros((3, 3)))
+    by_camera: Array
+    common_cov: Array = field(default_factory=lambda: np.zeros((COMMON, COMMON)))
 
     @classmethod
     def of(cls, clicked: FeatureSet) -> Features:
@@ -55,14 +61,25 @@ class Features:
         w = clicked.inverse_depth_per_m
         keep = valid & (w > 0.0)
         sigma = clicked.sigma_inverse_depth_per_m[keep] / w[keep]
-        return cls(clicked.uv_px[keep], rays[keep], w[keep], sigma, clicked.common_cov[6:9, 6:9])
+        # No set states how well its camera is known: as well as one that is known by its type.
+        common_cov = np.diag([0.0] * MODES + [each**2 for each in UNKNOWN_SIGMA])
+        common_cov[:MODES, :MODES] = clicked.common_cov[6:9, 6:9]
+        by_camera = rays_by_camera(clicked.camera, rays[keep, :2])
+        return cls(clicked.uv_px[keep], rays[keep], w[keep], sigma, by_camera, common_cov)
+
+    def only(self, rows: NDArray[np.intp]) -> Features:
+        """Return some of them."""
+        return replace(
+            self,
+            uv_px=self.uv_px[rows], rays=self.rays[rows], inverse_depth_per_m=self.inverse_depth_per_m[rows],
+            relative_sigma=self.relative_sigma[rows], by_camera=self.by_camera[rows],
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
-class Modes:
-    """The modes by which a set's features are off together, as one view shows them (29.12): `by_pose` (6, 3), how its
-    pose moves with them; the information (3, 3) of them that the features' pixels have beyond the pose, and its right
-    side (3,).
+class Common:
+    """What a set's features have in common, as one view shows it (29.12): `by_pose` (6, 8), how its pose moves with it;
+    the information (8, 8) of it that the features' pixels have beyond the pose, and its right side (8,).
     """
 
     by_pose: Array
@@ -87,14 +104,15 @@ class View:
     by_feature: Array
     by_depth: Array
     pixel_sigma_px: float
-    modes: Modes
+    common: Common
 
 
 FAR = 1e3  # focal lengths from the middle of the picture
 
-_frame_at = lru_cache(maxsize=512)(LocalFrame)  # each click asks for those of all kept pictures
+_frame_at = lru_cache(maxsize=512)(LocalFrame)
 
 
+@lru_cache(maxsize=512)  # each click asks for those of all kept pictures
 def relative_pose(clicked: FeatureSet, other: FeatureSet) -> tuple[Array, Array]:
     """R and centre of `View`, as both sets have their poses."""
     place = other.camera_lat_deg, other.camera_lon_deg, other.camera_height_m
@@ -134,26 +152,20 @@ def view_of(
     if np.count_nonzero(kept) < LEAST_FEATURES:
         return None
     rows = np.flatnonzero(kept)
-    few = Features(
-        *(
-            column[rows]
-            for column in (features.uv_px, features.rays, features.inverse_depth_per_m, features.relative_sigma)
-        )
-    )
-    solved = resect(*start, few, rays[rows, :2], camera)
+    solved = resect(*start, features.only(rows), rays[rows, :2], camera)
     if solved is None:
         return None
-    R, centre, by_pixel, by_depth, sigma_px, modes = solved
+    R, centre, by_pixel, by_depth, sigma_px, common = solved
     every = np.zeros((6, len(kept), 2)), np.zeros((6, len(kept)))
     every[0][:, rows], every[1][:, rows] = by_pixel, by_depth
-    return View(other_image, camera, R, centre, *every, sigma_px, modes)
+    return View(other_image, camera, R, centre, *every, sigma_px, common)
 
 
 def resect(
     R: Array, centre_m: Array, features: Features, xy: Array, camera: Camera
-) -> tuple[Array, Array, Array, Array, float, Modes] | None:
+) -> tuple[Array, Array, Array, Array, float, Common] | None:
     """The pose by which features are seen at `xy` (N, 2), undistorted; its `by_feature` and `by_depth`, the pixels' one
-    sigma, and what is seen of the features' modes. (29.2), (29.3), (29.12)
+    sigma, and what is seen of what the features have in common. (29.2), (29.3), (29.12)
 
     What disagrees is left out, None if that is most.
     """
@@ -195,11 +207,12 @@ def resect(
     weighed = (W @ (residual - np.einsum("nik,k->ni", J, step))[..., None])[..., 0] * used[:, None]
     by_log = np.einsum("kni,ni->kn", by_pixel, -by_depth)
     each = np.concatenate([np.ones((len(w), 1)), features.rays[:, :2]], axis=1)  # (N, 3)
-    Z = by_depth[:, :, None] * each[:, None]  # (N, 2, 3)
-    by_pose = by_log @ each
+    by_camera = pixels_by_camera(R, q, features.by_camera, camera)
+    Z = np.concatenate([by_depth[:, :, None] * each[:, None], by_camera], axis=2)  # (N, 2, 8)
+    by_pose = -np.einsum("kni,nim->km", by_pixel, Z)
     information = np.einsum("nim,nij,njl->ml", Z, W * used[:, None, None], Z + J @ by_pose)
-    modes = Modes(by_pose, information, -np.einsum("nim,ni->m", Z, weighed))
-    return R, centre_m, by_pixel, by_log * np.sqrt(s2), sigma_px, modes
+    common = Common(by_pose, information, -np.einsum("nim,ni->m", Z, weighed))
+    return R, centre_m, by_pixel, by_log * np.sqrt(s2), sigma_px, common
 
 
 def linearised(R: Array, centre_m: Array, features: Features, camera: Camera) -> tuple[Array, Array, Array]:
@@ -214,6 +227,20 @@ def linearised(R: Array, centre_m: Array, features: Features, camera: Camera) ->
     by_pose = np.concatenate([-skew(q), -w[:, None, None] * np.eye(3)], axis=2)
     by_depth = -w[:, None] * (R @ centre_m)
     return q, by_q @ by_pose, np.einsum("nij,nj->ni", by_q, by_depth)
+
+
+def rays_by_camera(camera: Camera, xy: Array) -> Array:
+    """The derivative (N, 2, 5) of the rays x, y (N, 2) of pixels that stay, by the camera's errors. (15.2)"""
+    return np.asarray(camera_errors.by_states(camera, xy[None, :, 0], xy[None, :, 1])[0].transpose(2, 1, 0), float)
+
+
+def pixels_by_camera(R: Array, q: Array, rays_by: Array, camera: Camera) -> Array:
+    """The derivative (N, 2, 5) by the camera's errors of the pixels of directions q (N, 3) in a view, which R turns
+    rays into that move by `rays_by` (N, 2, 5) themselves. (29.12)
+    """
+    xy = q[:, :2] / q[:, 2:]
+    by_ray = (R[:2, :2] - xy[:, :, None] * R[2, :2]) / q[:, 2, None, None]
+    return np.asarray(by_place(camera, xy) @ (by_ray @ rays_by - rays_by_camera(camera, xy)), float)
 
 
 def by_place(camera: Camera, xy: Array) -> Array:

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from contract.camera import Camera
 from contract.rotations import exp_so3
 from onboard.estimation.bundle_adjustment import Problem, evaluate, parallax_of, solve
-from onboard.estimation.camera_states import by_states
 from onboard.estimation.factors import Layout, State, ground_plane, reprojection
 from onboard.estimation.noise_shape import rounded
+from onboard.geometry.camera_errors import by_states
 from onboard.geometry.plane_fit import fit_plane
 from onboard.geometry.robust import robust_cost
 from simulation.study_seed import level, roll_from_plane

@@ -10,8 +10,9 @@ import pytest
 from contract.camera import UNKNOWN_SIGMA, Camera
 from onboard.estimation.boresight import Alignment
 from onboard.estimation.bundle_adjustment import solve
-from onboard.estimation.camera_states import COUNT, as_numbers, by_states, corrected, from_numbers
+from onboard.estimation.camera_states import COUNT, as_numbers, corrected, from_numbers
 from onboard.estimation.platform_states import STATES
+from onboard.geometry.camera_errors import by_states
 from tests.onboard.scenes import bundle_problem, first_guess
 
 PLAIN = Camera.from_field_of_view(640, 480, 40.0)

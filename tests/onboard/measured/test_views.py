@@ -5,12 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from contract.camera import Camera
 from contract.rotations import exp_so3
+from onboard.estimation.camera_states import corrected
 from onboard.measured.views import (
     LEAST_REACH_PX,
     Features,
     linearised,
     pixels,
+    pixels_by_camera,
+    rays_by_camera,
     reach_px,
     relative_pose,
     resect,
@@ -21,7 +25,8 @@ from tests.onboard.measured.step_world import CAMERA, CLICKED, FISHEYE, World
 
 def some_features(rng: np.random.Generator, count: int = 60, sigma: float = 1e-3) -> Features:
     rays, _ = CAMERA.unproject(uv := rng.uniform([10.0, 10.0], [310.0, 230.0], (count, 2)))
-    return Features(uv, rays, 1.0 / rng.uniform(80.0, 120.0, count), np.full(count, sigma))
+    by_camera = rays_by_camera(CAMERA, rays[:, :2])
+    return Features(uv, rays, 1.0 / rng.uniform(80.0, 120.0, count), np.full(count, sigma), by_camera)
 
 
 def test_the_derivatives_of_a_view_are_those_of_finite_differences() -> None:
@@ -51,11 +56,8 @@ def test_a_pose_is_as_far_off_as_its_derivatives_by_the_features_state() -> None
         q = (features.rays - features.inverse_depth_per_m[:, None] * centre) @ R.T
         xy = q[:, :2] / q[:, 2:] + rng.normal(0.0, 0.2 / 300.0, (60, 2))
         xy[:5] += 0.05
-        wrong = Features(
-            features.uv_px, features.rays,
-            features.inverse_depth_per_m * (1.0 + features.relative_sigma * rng.standard_normal(60)),
-            features.relative_sigma,
-        )  # fmt: skip
+        off_by = features.relative_sigma * rng.standard_normal(60)
+        wrong = replace(features, inverse_depth_per_m=features.inverse_depth_per_m * (1.0 + off_by))
         start = exp_so3(rng.normal(0.0, 1e-3, 3)) @ R, centre + rng.normal(0.0, 0.2, 3)
         found = resect(*start, wrong, xy, CAMERA)
         assert found is not None
@@ -64,7 +66,7 @@ def test_a_pose_is_as_far_off_as_its_derivatives_by_the_features_state() -> None
         off = np.diff(
             [pixels(CAMERA, T @ (place - c / 100.0)) for T, c in ((R, centre), (R_found, centre_found))], axis=0
         )[0]
-        point = Features(np.zeros((1, 2)), place[None], np.array([0.01]), np.zeros(1))
+        point = Features(np.zeros((1, 2)), place[None], np.array([0.01]), np.zeros(1), np.zeros((1, 2, 5)))
         A = linearised(R_found, centre_found, point, CAMERA)[1][0]
         cov = A @ (np.einsum("kni,lni->kl", by_pixel, by_pixel) * sigma_px**2 + by_depth @ by_depth.T) @ A.T
         squares.append(float(off @ np.linalg.solve(cov, off)) / 2.0)
@@ -92,8 +94,44 @@ def test_a_pose_moves_with_what_the_features_have_in_common_as_it_states_and_its
         assert np.linalg.norm(moved - stated) < 0.05 * np.linalg.norm(stated)
         shown = found[5].toward - plain[5].toward
         np.testing.assert_allclose(
-            shown, plain[5].information @ step, atol=0.05e-4 * np.abs(plain[5].information).max()
+            shown, plain[5].information[:, :3] @ step, atol=0.05e-4 * np.abs(plain[5].information).max()
         )
+
+
+@pytest.mark.parametrize("camera", [CAMERA, replace(CAMERA, distortion=(-0.2, 0.05, 0.001, -0.001, 0.0)), FISHEYE])
+def test_pixels_in_a_view_move_with_the_camera_s_errors_as_derived(camera: Camera) -> None:
+    """(29.12) by finite differences: pixels of the clicked picture stay, both pictures' camera is another."""
+    rng = np.random.default_rng(4)
+    uv, w = rng.uniform([40.0, 40.0], [280.0, 200.0], (30, 2)), 1.0 / rng.uniform(80.0, 120.0, 30)
+    R, centre = exp_so3(rng.normal(0.0, 0.1, 3)), np.array([11.0, -4.0, 2.0])
+
+    def seen(by: Camera) -> np.ndarray:
+        q = (by.unproject(uv)[0] - w[:, None] * centre) @ R.T
+        return by.pixels(q[:, :2] / q[:, 2:])
+
+    rays = camera.unproject(uv)[0]
+    found = pixels_by_camera(R, (rays - w[:, None] * centre) @ R.T, rays_by_camera(camera, rays[:, :2]), camera)
+    for state, step in enumerate(1e-6 * np.eye(5)):
+        moved = (seen(corrected(camera, step)) - seen(corrected(camera, -step))) / 2e-6
+        np.testing.assert_allclose(found[:, :, state], moved, rtol=1e-3, atol=0.05)
+
+
+def test_a_pose_moves_with_the_camera_s_errors_as_it_states() -> None:
+    """Both pictures' rays by a camera that is off by one error at a time: the pose by finite differences. (29.12)"""
+    rng = np.random.default_rng(3)
+    features, R, centre = some_features(rng, sigma=1e-4), exp_so3(rng.normal(0.0, 0.05, 3)), np.array([14.0, 3.0, 1.0])
+    uv = pixels(CAMERA, (features.rays - features.inverse_depth_per_m[:, None] * centre) @ R.T)
+    plain = resect(R, centre, features, CAMERA.unproject(uv)[0][:, :2], CAMERA)
+    assert plain is not None
+    for state, step in enumerate(1e-4 * np.eye(5)):
+        wrong = corrected(CAMERA, step)
+        off = replace(features, rays=wrong.unproject(features.uv_px)[0])
+        found = resect(R, centre, off, wrong.unproject(uv)[0][:, :2], wrong)
+        assert found is not None
+        turned = found[0] @ plain[0].T
+        moved = np.array([turned[2, 1], turned[0, 2], turned[1, 0], *(plain[0] @ (found[1] - plain[1]))])
+        stated = plain[5].by_pose[:, 3 + state] * 1e-4
+        assert np.linalg.norm(moved - stated) < 0.05 * np.linalg.norm(stated)
 
 
 def test_a_view_is_mended_by_the_features_to_a_fraction_of_a_pixel() -> None:
