@@ -13,6 +13,7 @@ from onboard.tracks.ground_steps import Grey, Pictures, Seen
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
+Mask = NDArray[np.bool_]
 
 AGES_S = (0.4, 0.7, 1.2, 1.9, 3.0)
 SAME_S = 0.15  # pictures closer together than this count as one
@@ -20,7 +21,10 @@ STRIDE, ROUNDS = 4, 2  # of the fit: every so many pixels, so often weighed agai
 MISFIT_PX = 0.4  # one sigma of what is left of the misfit between two pictures
 LEAST_SHIFT_PX = 0.08  # for which a layer is rendered again
 LEAST_NOISE = 1.0  # grey levels
+END_GREY = 2.0  # grey levels from a picture's darkest or brightest, within which a pixel may be clipped
+NEAR_PX = 2.0  # one sigma of how far what differs about a pixel counts for one of which nothing is known
 CLEAR, CERTAIN = 2.5, 6.0  # sigmas at which a pixel begins to count as something else, and at which it is
+LEAST_NEAR = 0.05  # of a weight, below which a pixel has no neighbours that are known
 LEAST_COMMON = 0.6  # of what a patch has of its picture: an earlier one that shows less of it does not count
 AROUND = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 
@@ -34,7 +38,7 @@ class Patch:
 
     image: Image
     corner: NDArray[np.int64]
-    inside: NDArray[np.bool_] | None = None
+    inside: Mask | None = None
 
     @property
     def middle(self) -> int:
@@ -74,14 +78,26 @@ def earlier(pictures: Pictures, seen: Seen) -> list[Seen]:
 class Change:
     """The sureness, 0 to 1, that each pixel of a patch (S, S) shows what was not there before; what was there, and one
     sigma of what it would look like now, grey levels. `corner` is the patch's. `shown` (S, S): where earlier pictures
-    show the ground, where not everywhere.
+    show the ground, where not everywhere. `unknown` (S, S): where both may be the same beyond an end of what a picture
+    can show, if anywhere; `surely` is there what the pixels about it suggest.
     """
 
     corner: NDArray[np.int64]
     surely: Image
     behind: Image
     sigma: Image
-    shown: NDArray[np.bool_] | None = None
+    shown: Mask | None = None
+    unknown: Mask | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class _Clipped:
+    """The pixels (S, S) at which a picture, or the ground of earlier ones, may be darker or brighter than it shows."""
+
+    low_now: Mask
+    high_now: Mask
+    low_behind: Mask
+    high_behind: Mask
 
 
 def difference(pictures: Pictures, seen: Seen, patch: Patch, since: Seen | None = None) -> Change | None:
@@ -89,7 +105,7 @@ def difference(pictures: Pictures, seen: Seen, patch: Patch, since: Seen | None 
 
     None without at least two earlier pictures of the same ground, or that one; 0 where pictures do not reach.
     """
-    layers, known = _aligned(pictures, seen, patch, earlier(pictures, seen) if since is None else [since])
+    layers, known, clipped = _aligned(pictures, seen, patch, earlier(pictures, seen) if since is None else [since])
     if len(layers) < (2 if since is None else 1):
         return None
     behind, shown = np.median(layers, axis=0) if len(layers) > 2 else layers[-1], None
@@ -98,24 +114,50 @@ def difference(pictures: Pictures, seen: Seen, patch: Patch, since: Seen | None 
         middle = np.nanmedian(np.where(known | ~shown, layers, np.nan), axis=0)
         behind = np.where(shown, middle, patch.image).astype(np.float32)
     off = np.abs(patch.image - behind)
-    noise = max(1.48 * float(np.partition(off, off.size // 2, axis=None)[off.size // 2]), LEAST_NOISE)
+    is_bound = None if clipped is None else _bounded(patch.image - behind, off, clipped)
+    counted = off if is_bound is None or is_bound.all() else off[~is_bound]
+    noise = max(1.48 * float(np.partition(counted, counted.size // 2, axis=None)[counted.size // 2]), LEAST_NOISE)
+    unknown = None
+    if is_bound is not None:
+        low, high = seen.ends()
+        is_bound |= (behind >= high - CLEAR * noise) | (behind <= low + CLEAR * noise)
+        unknown = is_bound & (off <= CLEAR * noise)
     dx, dy = cv2.Sobel(behind, cv2.CV_32F, 1, 0, scale=0.125), cv2.Sobel(behind, cv2.CV_32F, 0, 1, scale=0.125)
     sigma = np.sqrt(noise * noise + MISFIT_PX**2 * (dx * dx + dy * dy))
     surely: Image = np.clip((off / sigma - CLEAR) / (CERTAIN - CLEAR), 0.0, 1.0)
-    return Change(patch.corner, surely, behind, sigma, shown)
+    if unknown is not None:
+        surely = suggested(surely, ~unknown)
+    return Change(patch.corner, surely, behind, sigma, shown, unknown)
+
+
+def _bounded(more: Image, off: Image, clipped: _Clipped) -> Mask:
+    """(24.28): make of the differences `off` (S, S) the least that they may be where a picture is clipped; return where
+    that is none. `more`: picture less ground; `clipped`: where either is.
+    """
+    # A picture at its darkest may be darker, a ground at its brightest brighter: then it is not more.
+    is_least, is_most = clipped.low_now | clipped.high_behind, clipped.high_now | clipped.low_behind
+    off[(is_least & (more > 0.0)) | (is_most & (more <= 0.0))] = 0.0
+    return (is_least | is_most) & (off <= END_GREY)
+
+
+def suggested(surely: Image, known: Mask) -> Image:
+    """How surely each pixel differs: of one that is not known the mean of those within NEAR_PX, 0 where none is."""
+    weight = known.astype(np.float32)
+    near, total = (cv2.GaussianBlur(one, (0, 0), NEAR_PX) for one in (weight, weight * surely))
+    return np.where(known, surely, total / np.maximum(near, np.float32(LEAST_NEAR)))
 
 
 def _aligned(
     pictures: Pictures, seen: Seen, patch: Patch, others: Sequence[Seen]
-) -> tuple[Image, NDArray[np.bool_] | None]:
-    """The patch's ground in earlier pictures (L, S, S), shifted and brightened to fit, and which pixels (L, S, S) both
-    pictures have, where not all; those that show most of what the patch has.
+) -> tuple[Image, Mask | None, _Clipped | None]:
+    """The patch's ground in earlier pictures (L, S, S), shifted and brightened to fit, which pixels (L, S, S) both
+    pictures have, where not all, and where they are clipped, if anywhere; those that show most of what the patch has.
     """
     size = patch.image.shape[0]
     here = np.array([[1.0, 0.0, patch.corner[0]], [0.0, 1.0, patch.corner[1]], [0.0, 0.0, 1.0]])
     corners = np.column_stack([(AROUND + 1.0) * 0.5 * (size - 1), np.ones(4)])
     ways: list[tuple[Seen, Array]] = []
-    reached: list[NDArray[np.bool_] | None] = []
+    reached: list[Mask | None] = []
     for other in others:
         H = pictures.between(seen, other)
         if H is None:
@@ -133,23 +175,43 @@ def _aligned(
             reached.append(both)
     layers = np.zeros((len(ways), size, size), np.float32)
     if not ways:
-        return layers, None
+        return layers, None, None
     known = None
     if any(both is not None for both in reached):
         known = np.stack([np.ones((size, size), bool) if both is None else both for both in reached])
     for layer, (other, M) in zip(layers, ways, strict=True):
         layer[:] = _warped(other, M, size)
+    now, ends = _ends(patch.image[None], [seen]), _ends(layers, [other for other, _ in ways])
+    is_clipped = bool((now[0] | now[1]).any() or (ends[0] | ends[1]).any())
     shift, gain, lift = _fit(patch.image, layers, known)
     for layer, (other, M), by in zip(layers, ways, shift, strict=True):
         if np.abs(by).max() > LEAST_SHIFT_PX:
             moved = np.array([[1.0, 0.0, by[0]], [0.0, 1.0, by[1]], [0.0, 0.0, 1.0]])
             layer[:] = _warped(other, M @ moved, size)
+    clipped = None
+    if is_clipped:
+        low, high = (_mostly(each, known) for each in _ends(layers, [other for other, _ in ways]))
+        clipped = _Clipped(now[0][0], now[1][0], low, high)
     layers *= gain[:, None, None].astype(np.float32)
     layers += lift[:, None, None].astype(np.float32)
-    return layers, known
+    return layers, known, clipped
 
 
-def _common(M: Array, size: int, width: int, height: int, inside: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
+def _ends(images: Image, of: Sequence[Seen]) -> tuple[Mask, Mask]:
+    """Where parts (L, S, S) of pictures may be clipped: at their darkest, and at their brightest."""
+    low, high = np.array([seen.ends() for seen in of], np.float32).T[:, :, None, None]
+    return images <= low + END_GREY, images >= high - END_GREY
+
+
+def _mostly(ends: Mask, known: Mask | None) -> Mask:
+    """Where the median of layers (L, S, S) is clipped; of two, as in `difference`, the last."""
+    if len(ends) <= 2 and known is None:
+        return np.asarray(ends[-1])
+    count = len(ends) if known is None else known.sum(axis=0)
+    return np.asarray(2 * (ends if known is None else ends & known).sum(axis=0) > count)
+
+
+def _common(M: Array, size: int, width: int, height: int, inside: Mask | None) -> Mask:
     """The pixels (S, S) of a patch that its own picture and another one have; M: its pixels -> the other's."""
     columns, rows = np.meshgrid(np.arange(float(size)), np.arange(float(size)))
     u, v, w = (m[0] * columns + m[1] * rows + m[2] for m in M)
@@ -162,7 +224,7 @@ def _warped(other: Seen, M: Array, size: int) -> Grey:
     return np.asarray(cv2.warpPerspective(other.image, M, (size, size), flags=flags), np.uint8)
 
 
-def _fit(image: Image, layers: Image, known: NDArray[np.bool_] | None) -> tuple[Array, Array, Array]:
+def _fit(image: Image, layers: Image, known: Mask | None) -> tuple[Array, Array, Array]:
     """(24.4): shifts (L, 2), px, gains (L,) and lifts (L,) that bring layers (L, S, S) onto an image (S, S) as well as
     may be, whatever covers a part of it; by the pixels `known`, if not all are. All at once: each alone is too small to
     be worth a call of NumPy.
@@ -195,8 +257,9 @@ def _fit(image: Image, layers: Image, known: NDArray[np.bool_] | None) -> tuple[
     return np.clip(x[:, :2] / np.maximum(gain, 0.5)[:, None], -2.0, 2.0), gain, x[:, 3] - x[:, 2] * middle
 
 
-def _medians(values: Image, blank: NDArray[np.bool_] | None) -> Array:
+def _medians(values: Image, blank: Mask | None) -> Array:
     """The median of each row, without what is blank."""
     if blank is None:
         return np.asarray(np.median(values, axis=1), float)
-    return np.asarray(np.nanmedian(np.where(blank, np.nan, values), axis=1), float)
+    none = np.asarray(blank.all(axis=1))
+    return np.where(none, 0.0, np.nanmedian(np.where(blank & ~none[:, None], np.nan, values), axis=1))

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from contract.track import Unseen
 from contract.track_age import ACCELERATION_M_S2, LOST_AFTER_S, TURN_RAD_S
 from onboard.geometry.plane_homography import move
-from onboard.tracks.backdrop import AGES_S, Change, Patch, cut, difference
+from onboard.tracks.backdrop import AGES_S, Change, Patch, cut, difference, earlier, suggested
 from onboard.tracks.ground_steps import Pictures, Seen
-from onboard.tracks.looks import Look, Wanted, cover_of
+from onboard.tracks.looks import RIM_PX, Look, Wanted, cover_of
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -112,6 +112,8 @@ class Follower:
         self._rest = self._uv.copy()  # where it is if it has stood since it was last seen to move
         self._stood, self._stood_ns = self._uv.copy(), clicked.stamp_ns if self._stands() else 0  # when it stood last
         self._as_stood, self._is_gone = clicked, False  # the last picture in which nothing had changed where it stands
+        self._may_be_away = False  # it may have gone without being seen, and nothing that differs has been it since
+        self._been = [(self._there_since_ns(), self._uv.copy())]  # when it was seen where, MOST_AGE_S back
         self._remember()
 
     @property
@@ -158,23 +160,29 @@ class Follower:
         patch = cut(seen, self._uv, reach + half + 6)
         changed = difference(self._pictures, seen, patch)
         is_again = self.unseen_s(seen) > AGAIN_S
-        has_left = changed is not None and self._has_left(seen, changed, patch)
+        whole, since = changed, None if changed is None else self._since_it_left(seen, changed, patch)
+        has_left = self._is_gone and changed is not None
+        if has_left:
+            self._unless_away(changed, self._rest, 0.0)
         if changed is not None and (self._stands() or is_again) and seen.stamp_ns - self._stood_ns < AGES_S[-1] * 1e9:
-            changed = replace(changed, surely=self._without_uncovered(changed.surely, self._stood - patch.corner))
+            changed = replace(changed, surely=self._without_uncovered(changed, self._stood))
         wanted = Wanted.of(self._looks, half, self._size, self._known_velocity(), self._spread)
         window = self._window(patch, changed, reach, has_left)
         found = self._best(window, wanted, LEAST_AGAIN if is_again else LEAST_LIKENESS)
         by_look = found is not None
         if found is None:
             found = self._otherwise(window, wanted)
+        if found is None and whole is not None and since is not None and not self._is_size_known:
+            found = self._set_off(replace(window, changed=whole), since)
         if found is None:
             return self._unseen(Unseen.HIDDEN)
         uv, sigma = found
-        is_still = uv is self._rest
+        is_still, self._may_be_away = uv is self._rest, False
         self._update(uv, sigma)
         if not is_still:
             self._rest, self._moved_ns = self._uv.copy(), seen.stamp_ns
         self._last_seen_ns = seen.stamp_ns
+        self._been.append((seen.stamp_ns, uv.copy()))
         if self._stands():
             self._stood, self._stood_ns = self._rest.copy(), seen.stamp_ns
         if by_look and sigma < MERGED_SHARE * self._size:
@@ -186,23 +194,70 @@ class Follower:
         """Return whether it has stood for a while, as far as it was seen."""
         return self._last_seen_ns - self._moved_ns >= STOOD_S * 1e9
 
-    def _has_left(self, seen: Seen, changed: Change, patch: Patch) -> bool:
-        """Return whether it is no longer where it stood: that has changed, also since the last picture in which it had
-        not. What has passed before it is none of this: then it looks as it did before. (24.26)
+    def _there_since_ns(self) -> int:
+        """When it came to where it was clicked, as far as earlier pictures show; 0 if it was there in all of them."""
+        if not self._is_size_known:
+            return 0
+        since_ns, patch = self._seen.stamp_ns, cut(self._seen, self._uv, self._half() + 6)
+        for other in earlier(self._pictures, self._seen):
+            changed = difference(self._pictures, self._seen, patch, other)
+            if changed is None or self._differs_at(self._uv, changed) >= self._left_px2():
+                break
+            since_ns = other.stamp_ns
+        return since_ns
+
+    def _has_been_at(self, uv: Array) -> bool:
+        """Return whether it has been seen within its size of a place since most of the earlier pictures. (24.25)
+
+        What has not is in few of them, so that it differs from them now.
         """
-        if not self._stands() or (not self._is_gone and self._differs_at_rest(changed) < self._left_px2()):
-            self._as_stood, self._is_gone = seen, False
+        if self.unseen_s(self._seen) > AGAIN_S and not self._stands():
             return False
+        before_ns = self._seen.stamp_ns - MOST_AGE_S * 1e9
+        is_near = [float(np.hypot(*(at - uv))) < self._size for _, at in self._been]
+        return self._been[0][0] <= before_ns and all(is_near)
+
+    def _since_it_left(self, seen: Seen, changed: Change, patch: Patch) -> Change | None:
+        """What has changed since the last picture in which nothing had changed where it stood, if it is no longer there
+        (`_is_gone`). What has passed before it is none of this: then it looks as it did before. (24.26)
+        """
+        if not self._stands() or (not self._is_gone and self._differs_at(self._rest, changed) < self._left_px2()):
+            self._as_stood, self._is_gone = seen, False
+            return None
         since = None if self._as_stood is seen else difference(self._pictures, seen, patch, self._as_stood)
-        self._is_gone = since is None or self._differs_at_rest(since) >= self._left_px2()
-        return self._is_gone
+        self._is_gone = since is None or self._differs_at(self._rest, since) >= self._left_px2()
+        return since if self._is_gone else None
+
+    def _set_off(self, found: _Window, since: Change) -> tuple[Array, float] | None:
+        """Where something differs that is likely the thing that stood, once it has left its place whole: what has
+        changed there since is its cover, and what was seen there then its own grey. None if there is none. (24.30)
+        """
+        about = since.surely - self._without_uncovered(since, self._rest)
+        if max(about[0].max(), about[-1].max(), about[:, 0].max(), about[:, -1].max()) > CHANGED:
+            return None  # more of it may lie beyond
+        size = _within(SIZE_BY_ROOT * float(np.sqrt(about.sum())))
+        kept = self._looks, self._size
+        self._size = size
+        half = self._half()
+        if half + found.reach + 1 <= found.patch.middle and found.changed is not None:
+            look = Look(self._as_stood.stamp_ns, Patch(since.behind, since.corner), self._rest.copy(), np.zeros(2),
+                        np.eye(2), about)  # fmt: skip
+            self._looks, self._is_size_known = [look], True
+            left = self._without_uncovered(found.changed, self._rest)
+            changed = replace(found.changed, surely=left)
+            window = self._window(found.patch, changed, found.reach, found.has_left)
+            at = self._otherwise(window, Wanted.of(self._looks, half, size, np.zeros(2), self._spread))
+            if at is not None and np.hypot(*(at[0] - self._rest)) >= size:
+                return at
+        (self._looks, self._size), self._is_size_known = kept, False
+        return None
 
     def _left_px2(self) -> float:
         return max(LEFT_PX2, LEFT_SHARE * self._size**2)
 
-    def _differs_at_rest(self, changed: Change) -> float:
-        """The area, px2, that surely differs within its size about where it stands."""
-        column, row = self._rest - changed.corner
+    def _differs_at(self, uv: Array, changed: Change) -> float:
+        """The area, px2, that surely differs within its size about a place."""
+        column, row = uv - changed.corner
         half = max(0.5 * self._size, LEFT_REACH_PX)
         rows, columns = np.ogrid[: len(changed.surely), : len(changed.surely)]
         return float(changed.surely[(np.abs(rows - row) <= half) & (np.abs(columns - column) <= half)].sum())
@@ -215,7 +270,12 @@ class Follower:
         """(24.6): with the ground, and on with its own velocity."""
         near = move(H, self._uv + np.array([[0.0, 0.0], [0.5, 0.0], [-0.5, 0.0], [0.0, 0.5], [0.0, -0.5]]))
         J = np.stack([near[1] - near[2], near[3] - near[4]], axis=1)
-        self._rest, self._stood = move(H, np.stack([self._rest, self._stood]))
+        before_ns = self._seen.stamp_ns - MOST_AGE_S * 1e9
+        self._been = [one for one, then in zip(self._been, [*self._been[1:], self._been[-1]], strict=True)
+                      if one[0] > before_ns or then[0] > before_ns or then is one]  # fmt: skip
+        places = move(H, np.stack([self._rest, self._stood, *(uv for _, uv in self._been)]))
+        self._rest, self._stood = places[:2]
+        self._been = [(at_ns, uv) for (at_ns, _), uv in zip(self._been, places[2:], strict=True)]
         self._velocity = J @ self._velocity
         self._uv = near[0] + self._velocity * dt
         q = (ACCELERATION_M_S2 / self._m_px + TURN_RAD_S * float(np.hypot(*self._velocity))) ** 2
@@ -278,15 +338,16 @@ class Follower:
             score = score + arrived
         j, i = np.unravel_index(int(np.argmax(score)), score.shape)
         like, differs = float(likeness[j, i]), 0.0 if arrived is None else float(arrived[j, i])
-        # What has moved on by its own size since most of the earlier pictures is in none: it must differ. (24.25)
-        is_behind = float(np.hypot(*self._velocity)) * MOST_AGE_S < self._size
+        is_behind = self._has_been_at(place[j, i])
         is_shown = changed is not None and (changed.shown is None or changed.shown[window, window][half + j, half + i])
         still = (
-            None if here is None or not is_behind or found.has_left else self._still(likeness, here, place[0, 0], like)
+            None
+            if here is None or found.has_left or self._may_be_away or not self._has_been_at(self._rest)
+            else self._still(likeness, here, place[0, 0], like)
         )
         if still is not None:
-            return still, STILL_SIGMA_PX
-        by_look = like >= SURE_LIKENESS and (is_behind or not is_shown)
+            return self._unless_away(changed, still, STILL_SIGMA_PX)
+        by_look = like >= SURE_LIKENESS and (is_behind or not is_shown) and not self._may_be_away
         if found.has_left:  # nor by the look of the ground about where it stood, at which it is not
             is_there = least > LEAST_LIKENESS or np.hypot(*(place[j, i] - self._rest)) < LEFT_REACH_PX
             by_look = by_look and not is_there
@@ -295,7 +356,7 @@ class Follower:
         peak = _climbed(likeness, int(j), int(i), int(CLIMB_SHARE * self._size))
         matched, sigma = place[peak] + _peak(likeness, *peak[::-1]), 0.3 + 2.0 * (1.0 - like)
         if changed is None or differs < SURE_DIFFERENCE:
-            return matched, sigma
+            return self._unless_away(changed, matched, sigma)
         if not self._is_size_known and not self._measured(changed.surely, found.at(int(j), int(i))):
             return matched, sigma
         centre, spread = self._centred(changed.surely, found.at(int(j), int(i)), patch)
@@ -303,6 +364,34 @@ class Follower:
             return place[j, i] + _peak(likeness, int(i), int(j)), spread
         share = sigma**2 / (sigma**2 + spread**2)
         return matched + share * (centre - matched), sigma * spread / float(np.hypot(sigma, spread))
+
+    def _unless_away(self, changed: Change | None, uv: Array, sigma: float) -> tuple[Array, float] | None:
+        """The place at which nothing differs and its one sigma; None if it may have gone from there unseen."""
+        unseen_px = self._unseen_px(changed, uv)
+        self._may_be_away = self._may_be_away or not np.isfinite(unseen_px)
+        return None if self._may_be_away else (uv, float(np.hypot(sigma, unseen_px)))
+
+    def _unseen_px(self, changed: Change | None, uv: Array) -> float:
+        """One sigma, px, of where the thing is if nothing differs and it may be at a place: it can be anywhere about it
+        where picture and ground are both clipped. Infinite if that goes on beyond what is looked at. (24.29)
+        """
+        if changed is None or changed.unknown is None:
+            return 0.0
+        most = int(max(self._size - 2.0 * RIM_PX, LEAST_SIZE_PX) if self._is_size_known else LEAST_SIZE_PX)
+        free = cv2.erode(changed.unknown.astype(np.uint8), np.ones((most, most)), borderValue=1)
+        count, labels = cv2.connectedComponents(free)
+        rows, columns = np.mgrid[: free.shape[0], : free.shape[1]]
+        off = np.stack([columns, rows], axis=-1) + changed.corner - uv
+        may = np.zeros(count, bool)
+        may[labels[np.abs(off).max(axis=-1) <= LEFT_REACH_PX]] = True
+        may[0] = False
+        where = may[labels]
+        if not where.any():
+            return 0.0
+        if where[0].any() or where[-1].any() or where[:, 0].any() or where[:, -1].any():
+            return float(np.inf)
+        # Of a thing of unknown size the clipped part is its own: who clicked on it saw it.
+        return float(np.sqrt(0.5 * (off[where] ** 2).sum(axis=-1).mean())) if self._is_size_known else 0.0
 
     def _otherwise(self, found: _Window, wanted: Wanted) -> tuple[Array, float] | None:
         """(24.24): where something differs that is likelier the thing, over other ground than before, than another;
@@ -315,7 +404,8 @@ class Follower:
         if found.differs[j, i] < SURE_DIFFERENCE:
             return None
         at, half = found.at(int(j), int(i)), wanted.mask.shape[0] // 2
-        parts = np.stack([patch.image, changed.behind, changed.sigma])
+        is_known = np.ones_like(patch.image) if changed.unknown is None else ~changed.unknown
+        parts = np.stack([patch.image, changed.behind, changed.sigma, is_known])
         ratio = max(
             wanted.log_ratio(*parts[:, y - half : y + half + 1, x - half : x + half + 1])
             for x in range(at[0] - 1, at[0] + 2)
@@ -327,18 +417,21 @@ class Follower:
             return None
         return self._centred(changed.surely, at, patch)
 
-    def _without_uncovered(self, surely: Image, at: Array) -> Image:
-        """The change without the part about `at`, where the thing stood: as it leaves it uncovers ground, of
+    def _without_uncovered(self, changed: Change, uv: Array) -> Image:
+        """The change without the part about a place, where the thing stood: as it leaves it uncovers ground, of
         which nothing shows how it looked before. (24.20)
         """
-        count, labels = cv2.connectedComponents((surely > CHANGED).astype(np.uint8))
+        surely, known = changed.surely, None if changed.unknown is None else ~changed.unknown
+        is_changed = surely > CHANGED if known is None else (surely > CHANGED) & known
+        count, labels = cv2.connectedComponents(is_changed.astype(np.uint8))
         near = int(np.ceil(0.5 * self._size)) + 1
-        column, row = (int(n) for n in np.rint(at))
+        column, row = (int(n) for n in np.rint(uv - changed.corner))
         about = labels[max(row - near, 0) : row + near + 1, max(column - near, 0) : column + near + 1]
         touched = np.zeros(count, bool)
         touched[about] = True
         touched[0] = False
-        return np.where(touched[labels], np.float32(0.0), surely)
+        left = np.where(touched[labels], np.float32(0.0), surely)
+        return left if known is None else suggested(left, known)
 
     def _still(self, likeness: Image, here: Image, first: Array, best: float) -> Array | None:
         """(24.9): where it stood, if nothing there has changed and it looks no better elsewhere; None if it moves."""

@@ -44,6 +44,14 @@ class Seen:
     locator: Locator | None = None  # of its set, once it was asked for
     is_joined: bool = False  # whether the step from the one before has been looked for
     _small: tuple[Grey, NDArray[np.float32]] | None = field(default=None, repr=False)
+    _ends: tuple[float, float] | None = field(default=None, repr=False)
+
+    def ends(self) -> tuple[float, float]:
+        """The grey levels at which the picture may be clipped: its darkest and its brightest, made once."""
+        if self._ends is None:
+            low, high, _, _ = cv2.minMaxLoc(self.image)
+            self._ends = low, high
+        return self._ends
 
     def small(self) -> tuple[Grey, NDArray[np.float32]]:
         """The picture at half the size and features (N, 2) in it, made once."""

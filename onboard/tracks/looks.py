@@ -121,10 +121,11 @@ class Wanted:
         usual = float((share * self.grey).sum()) / max(float(share.sum()), 1e-6)
         return share, 2.0 * soft * (1.0 - soft), share * self.grey + (1.0 - share) * np.float32(usual)
 
-    def log_ratio(self, image: Image, behind: Image, sigma: Image) -> float:
+    def log_ratio(self, image: Image, behind: Image, sigma: Image, known: Image | float = 1.0) -> float:
         """Return the logarithm of how much likelier the thing there is than another, or than the ground alone. (24.23)
 
-        The three (2 half + 1) squared, about the place. -inf where the thing's cover is not known.
+        All (2 half + 1) squared, about the place; `known`: 1 where a pixel speaks for any of them, 0 where it does not.
+        -inf where the thing's cover is not known.
         """
         if not self.has_cover:
             return -np.inf
@@ -135,7 +136,7 @@ class Wanted:
         left = (off - cover * (grey - behind)) ** 2 / its + np.log(its)
         other = (off - cover * (level - behind)) ** 2 / anothers + np.log(anothers)
         ground = off * off / noise + np.log(noise)
-        by_other, by_ground = (0.5 * OWN_SHARE * float((which - left).sum()) for which in (other, ground))
+        by_other, by_ground = (0.5 * OWN_SHARE * float((known * (which - left)).sum()) for which in (other, ground))
         return min(by_other, by_ground)
 
 

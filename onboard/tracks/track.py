@@ -38,8 +38,9 @@ class Track:
         self._landmark: Array | None = None  # where it is in the newest picture
         self._landmark_ns = self._filtered_ns = self._first_ns = clicked.stamp_ns
         self._filter: PlaneFilter | None = None
-        # The newest picture that gives a place: what answers, for which pixel, and when it was taken.
-        self._placed: tuple[Locator, Array, int] | None = None
+        # The newest picture that gives a place: what answers, for which pixel, the pixel's covariance (2, 2), m^2, and
+        # when it was taken.
+        self._placed: tuple[Locator, Array, Array, int] | None = None
         self._by_pixel: tuple[Array, int] | None = None  # metres (2, 2) a pixel on the ground, and when
         self._stretched_ns = 0
         self._status = Status.STARTING
@@ -101,10 +102,11 @@ class Track:
             if parts is None:
                 return
             self._by_pixel = parts.by_pixel_m[:2], observed.seen.stamp_ns
-        self._placed = locator, observed.uv_px, observed.seen.stamp_ns
-        slant = offset[:2] / max(abs(float(offset[2])), 1.0)
         by_pixel = self._by_pixel[0]
-        noise = (observed.sigma_px**2 + GROUND_SIGMA_PX**2) * by_pixel @ by_pixel.T + 1e-6 * np.eye(2)
+        own = observed.sigma_px**2 * by_pixel @ by_pixel.T
+        self._placed = locator, observed.uv_px, own, observed.seen.stamp_ns
+        slant = offset[:2] / max(abs(float(offset[2])), 1.0)
+        noise = own + GROUND_SIGMA_PX**2 * by_pixel @ by_pixel.T + 1e-6 * np.eye(2)
         now = observed.seen.stamp_ns
         if self._filter is None:
             self._filter, self._first_ns, self._filtered_ns = PlaneFilter(slant, noise), now, now
@@ -144,13 +146,13 @@ class Track:
         """(24.18): the newest picture's place, and on by its velocity since."""
         if self._placed is None:
             return None
-        locator, uv, at_ns = self._placed
+        locator, uv, own, at_ns = self._placed
         fix = locator.locate(uv)
         if not isinstance(fix, Fix):
             self._status = fix.status
             return None
         dt = (self._seen.stamp_ns - at_ns) * 1e-9
-        lat, lon, covariance = fix.lat_deg, fix.lon_deg, fix.covariance_enu_m2[:2, :2]
+        lat, lon, covariance = fix.lat_deg, fix.lon_deg, fix.covariance_enu_m2[:2, :2] + own
         if dt > 0.0:
             if self._filter is None:
                 return None

@@ -51,6 +51,7 @@ class World:
     gain: Callable[[float], float] = field(default=lambda _: 1.0)
     status: Status = Status.OK
     seed: int = 0
+    clipped: float = 0.0  # share of the ground that is as bright as a picture can be; negative: as dark
 
     def __post_init__(self) -> None:
         rng = np.random.default_rng(self.seed)
@@ -60,6 +61,8 @@ class World:
         fine = cv2.GaussianBlur(rng.normal(0.0, 28.0, (900, 900)).astype(np.float32), (0, 0), 1.2)
         self._ground = 100.0 + coarse + fine
         self._rng = rng
+        self._scale = 255.0 / np.quantile(self._ground, 1.0 - self.clipped) if self.clipped > 0.0 else 1.0
+        self._lift = -np.quantile(self._ground, -self.clipped) if self.clipped < 0.0 else 0.0
 
     def image(self, frame: int) -> NDArray[np.uint8]:
         """The picture (240, 320)."""
@@ -79,7 +82,7 @@ class World:
             )
             spots = 25.0 * np.sign((columns - u) * (rows - v))
             out = out + cover * (thing.grey + spots - out)
-        noisy = self.gain(t) * out + self._rng.normal(0.0, 1.5, out.shape)
+        noisy = self.gain(t) * (self._scale * out + self._lift) + self._rng.normal(0.0, 1.5, out.shape)
         return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
 
     def pixel(self, thing: Thing, frame: int) -> Array:
