@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from contract.rotations import euler_from_matrix, matrix_from_quaternion
-from onboard.events.types import Attitude, GimbalAttitude, GpsQuality, NavEvent, PositionFix
+from onboard.events.types import Attitude, GpsQuality, NavEvent, PositionFix
 from onboard.telemetry.telemetry_log import TelemetryLog
 
 METRES_A_DEGREE = 111_132.0
@@ -74,7 +74,7 @@ def table(log: TelemetryLog, path: Path) -> Path:
             above = "" if event.height_above_home_m is None else event.height_above_home_m
             cells = (at, f"{event.lat_deg:.7f}", f"{event.lon_deg:.7f}", event.height_amsl_m, above, *velocity)
             rows.append(",".join(map(str, (*cells, "", "", ""))))
-        elif isinstance(event, Attitude | GimbalAttitude) and isinstance(event, Attitude):
+        elif isinstance(event, Attitude):
             euler = np.degrees(euler_from_matrix(matrix_from_quaternion(event.q_ned_body)))
             rows.append(",".join((at, *[""] * 7, *(f"{angle:.3f}" for angle in euler))))
     path.write_text("\n".join([*rows, ""]))

@@ -6,6 +6,7 @@ log may have none.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -112,13 +113,17 @@ class _Path:
         return np.where(known[:, None], place, np.nan)
 
 
+def claimed(log: TelemetryLog, which: Callable[[GpsQuality], float | None], unstated: float) -> float:
+    """Return the median of what a log's receiver claims of itself; `unstated` where it claims nothing."""
+    claims = [which(event) for event in log.events if isinstance(event, GpsQuality)]
+    known = [value for value in claims if value is not None]
+    return float(np.median(known)) if known else unstated
+
+
 def _claimed_m(log: TelemetryLog) -> Array:
     """One sigma (3,) of a position, east, north, up, as the log claims in the middle; 0 where it does not."""
-    claims = [e for e in log.events if isinstance(e, GpsQuality)]
-    columns = [[c.sigma_horizontal_m for c in claims], [c.sigma_vertical_m for c in claims]]
-    known = [[value for value in column if value is not None] for column in columns]
-    horizontal_m, vertical_m = (float(np.median(column)) if column else 0.0 for column in known)
-    return np.array([horizontal_m, horizontal_m, vertical_m])
+    horizontal_m = claimed(log, lambda c: c.sigma_horizontal_m, 0.0)
+    return np.array([horizontal_m, horizontal_m, claimed(log, lambda c: c.sigma_vertical_m, 0.0)])
 
 
 def _starts(short: _Path, long: _Path) -> Array:
@@ -176,7 +181,7 @@ class _Fit:
         return f"{at_best}, {self.explained} of {self.probes} fit"
 
     def cost(self, sigma_m: Array) -> float:
-        """As -2 times the logarithm of a likelihood; a probe that the other log does not cover fits nothing. (32.2)"""
+        """-2 times the logarithm of a likelihood; a probe that the other log does not cover fits nothing. (32.2)"""
         good = np.exp(-0.5 * np.square(self.left_m / sigma_m).sum(axis=1))
         missing = self.probes - len(self.left_m)
         scale = 2.0 * self.probes * float(np.log(sigma_m).sum())
@@ -184,7 +189,7 @@ class _Fit:
 
     @property
     def correlation(self) -> float:
-        """How many probes have the information of one, by how correlated neighbours' errors are; 1 at least."""
+        """The number of probes with the information of one, by their neighbours' correlation; 1 at least."""
         r = self.left_m / self.sigma_m * np.sqrt(self.weight)[:, None]
         power = float(np.square(r).sum())
         if power == 0.0:

@@ -24,7 +24,7 @@ MAX_GAP_S = 10.0  # positions farther apart are joined by no configuration
 
 @dataclass(frozen=True)
 class Tied:
-    """What a log that was made of two adds to the errors of its stamps: `sigma_s`, one sigma of their clocks' tie.
+    """The errors that a log made of two adds to those of its stamps: `sigma_s`, one sigma of their clocks' tie.
 
     `are_angles_moved`: attitudes come from the log whose clock was moved; `is_mixed`: positions come from the other.
     """

@@ -28,7 +28,7 @@ from onboard.events.types import (
     RangeFinder,
     Zoom,
 )
-from onboard.telemetry.log_clocks import Tie, Untied, tie
+from onboard.telemetry.log_clocks import Tie, Untied, claimed, tie
 from onboard.telemetry.telemetry_log import NS_PER_S, TelemetryLog, Tied
 
 Array = NDArray[np.float64]
@@ -147,16 +147,11 @@ def _spacing_s(log: TelemetryLog, events: list[NavEvent]) -> float:
 
 def _position_error_m(log: TelemetryLog, events: list[NavEvent]) -> float:
     """One sigma of a position between two: what the log claims, where heights count from, and the interpolation's."""
-    claims = [e for e in log.events if isinstance(e, GpsQuality)]
-    columns = [
-        [claim.sigma_horizontal_m for claim in claims],
-        [claim.sigma_vertical_m for claim in claims],
-        [claim.sigma_datum_m for claim in claims],
-    ]
-    known = [[value for value in column if value is not None] for column in columns]
-    stated = [
-        float(np.median(c)) if c else default for c, default in zip(known, (UNSTATED_M, UNSTATED_M, 0.0), strict=True)
-    ]
+    stated = (
+        claimed(log, lambda c: c.sigma_horizontal_m, UNSTATED_M),
+        claimed(log, lambda c: c.sigma_vertical_m, UNSTATED_M),
+        claimed(log, lambda c: c.sigma_datum_m, 0.0),
+    )
     fixes = [e for e in _some(events) if isinstance(e, PositionFix)]
     middle = fixes[len(fixes) // 2]
     geodetic = np.array([(f.lat_deg, f.lon_deg, f.height_amsl_m) for f in fixes])
@@ -166,7 +161,7 @@ def _position_error_m(log: TelemetryLog, events: list[NavEvent]) -> float:
 
 
 def _angle_error_rad(log: TelemetryLog, events: list[NavEvent]) -> float:
-    """How far an attitude is from halfway between its neighbours, which its noise, steps and rarity all are in."""
+    """The angle of an attitude from the turn between its neighbours, which its noise, steps and rarity all are in."""
     some = [e for e in _some(events) if isinstance(e, Attitude | GimbalAttitude)]
     R = np.stack([_rotation(e) for e in some])
     turned = log_so3(np.swapaxes(R[:1], -1, -2) @ R)
@@ -175,8 +170,8 @@ def _angle_error_rad(log: TelemetryLog, events: list[NavEvent]) -> float:
     between = log_so3(np.swapaxes(R[:-2], -1, -2) @ R[2:])
     own = log_so3(np.swapaxes(R[:-2], -1, -2) @ R[1:-1])
     stamps_s = np.array([e.stamp_ns - some[0].stamp_ns for e in some]) / NS_PER_S
-    share = (stamps_s[1:-1] - stamps_s[:-2]) / np.maximum(stamps_s[2:] - stamps_s[:-2], 1e-6)
-    return float(np.sqrt(np.mean(np.square(own - share[:, None] * between).sum(axis=1)))) if len(some) > 2 else np.pi
+    left = own - _share(stamps_s) * between
+    return float(np.sqrt(np.mean(np.square(left).sum(axis=1)))) if len(some) > 2 else np.pi
 
 
 def _rotation(event: Attitude | GimbalAttitude) -> Array:
@@ -197,11 +192,16 @@ def _some(events: list[NavEvent]) -> list[NavEvent]:
     return ordered[first : first + MOST]
 
 
+def _share(stamps_s: Array) -> Array:
+    """The part (N - 2, 1) of the way between its two neighbours that each moment but the first and last has done."""
+    return ((stamps_s[1:-1] - stamps_s[:-2]) / np.maximum(stamps_s[2:] - stamps_s[:-2], 1e-6))[:, None]
+
+
 def _missed(stamps_s: Array, places_m: Array) -> float:
-    """How far (m, median) a position is from the line between its neighbours: four times the error within a gap."""
+    """The error within a gap (m): a quarter of a position's median distance from the line between its neighbours."""
     if len(stamps_s) < 3:
         return 0.0
-    share = ((stamps_s[1:-1] - stamps_s[:-2]) / np.maximum(stamps_s[2:] - stamps_s[:-2], 1e-6))[:, None]
+    share = _share(stamps_s)
     line_m = (1.0 - share) * places_m[:-2] + share * places_m[2:]
     return float(np.median(np.linalg.norm(places_m[1:-1] - line_m, axis=1))) / 4.0
 
