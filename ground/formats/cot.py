@@ -34,9 +34,8 @@ SPOT = "b-m-p-s-m"
 _MARKER = re.compile(r"b-m-p(-|$)|b-r-|b-a-o-|a-.-[GSU]")  # points, casualties, emergencies, things on ground or water
 _DECLARATION = re.compile(r"<\?xml[^>]*\?>")
 AIRCRAFT = "a-f-A-M-F-Q"  # friendly, airborne, military-style code for an unmanned aircraft: what TAK shows as a drone
-FOUND = "b-m-p-s-p-i"  # a sensor's point of interest: what a program found and no person has confirmed
+INTEREST = "b-m-p-s-p-i"  # a sensor's: where it looks, and what a program found and no person has confirmed
 FOLLOWED = "a-u-G"  # something on the ground that no person has identified
-INTEREST = "b-m-p-s-p-i"  # where a sensor looks
 OURS = "__pointclick"  # a pin's own fields; programs ignore details that are unknown to them
 # Colours of ATAK's spot map, as signed ARGB.
 _UNCONFIRMED = -65281  # magenta
@@ -48,19 +47,19 @@ def event(mark: Mark, now_unix_ns: int, stale_s: float) -> str | None:
     if not mark.is_placed:
         return None
     lat, lon = mark.position
-    kind, how = (FOUND, "m-r") if mark.method == MACHINE else (SPOT, "h-g-i-g-o")
+    kind, how = (INTEREST, "m-r") if mark.method == MACHINE else (SPOT, "h-g-i-g-o")
     root = _event(f"pointclick.{mark.id}", kind, how, now_unix_ns, mark.time_unix_ns, stale_s)
     _point(root, lat, lon, mark.height_ellipsoid_m, mark.ce90_m, mark.le90_m)
     detail = element(root, "detail")
     element(detail, "contact", callsign=mark.title[:100])
-    colour = str(_UNCONFIRMED if kind == FOUND else _COLOURS.get(mark.category, _COLOURS["poi"]))
+    colour = str(_UNCONFIRMED if kind == INTEREST else _COLOURS.get(mark.category, _COLOURS["poi"]))
     element(detail, "usericon", iconsetpath=f"COT_MAPPING_SPOTMAP/{SPOT}/{colour}")
     element(detail, "color", argb=colour)
     element(
         detail, "precisionlocation", altsrc="???" if mark.height_ellipsoid_m is None else "CALC", geopointsrc="CALC"
     )
     seen = f"seen {mark.time_text}" if mark.time_text else ""
-    parts = [MACHINE if kind == FOUND else mark.category, _accuracy(mark), mark.note, seen, mark.vehicle, mark.who]
+    parts = [MACHINE if kind == INTEREST else mark.category, _accuracy(mark), mark.note, seen, mark.vehicle, mark.who]
     element(detail, "remarks", "; ".join(part for part in parts if part))
     element(detail, OURS, name=mark.name, note=mark.note, category=mark.category)
     return ET.tostring(root, encoding="unicode")
@@ -116,19 +115,15 @@ def _sensor(detail: ET.Element, s: FeatureSet, middle: Fix | None) -> None:
 
 
 def _interest_event(s: FeatureSet, middle: Fix, now_unix_ns: int, stale_s: float) -> str:
-    """What is in the middle of an aircraft's picture, linked to the aircraft's own event."""
+    """The event of what is in the middle of an aircraft's picture, linked to the aircraft's own."""
     root = _event(f"{_uid(s)}.SPI1", INTEREST, "m-g", now_unix_ns, s.capture_unix_ns, stale_s)
     p = middle.place
-    _point(
-        root, p.lat_deg, p.lon_deg, p.height_ellipsoid_m, ce90_m(p.ellipse.covariance_en_m2), le90_m(p.sigma_height_m)
-    )
+    ce_m = ce90_m(p.ellipse.covariance_en_m2)
+    _point(root, p.lat_deg, p.lon_deg, p.height_ellipsoid_m, ce_m, le90_m(p.sigma_height_m))
     detail = element(root, "detail")
     element(detail, "contact", callsign=f"{s.vehicle} view"[:100])
     element(detail, "link", uid=_uid(s), type=AIRCRAFT, relation="p-p", production_time=root.get("start", ""))
-    element(
-        detail, "remarks",
-        f"middle of the picture of {s.vehicle}; +-{ce90_m(p.ellipse.covariance_en_m2):.1f} m (CE90)",
-    )  # fmt: skip
+    element(detail, "remarks", f"middle of the picture of {s.vehicle}; +-{ce_m:.1f} m (CE90)")
     return ET.tostring(root, encoding="unicode")
 
 

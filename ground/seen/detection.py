@@ -18,7 +18,7 @@ from contract.errors import InputError
 from contract.spot import PERSON_GRID, PERSON_M2, SpotReport
 from ground.seen.area import Woods
 from ground.seen.coverage import Coverage
-from ground.seen.outline import cells_within
+from ground.seen.outline import Mask, cells_within
 from ground.seen.picture_cells import PictureCells
 from ground.seen.pictures import Key, Look
 
@@ -247,14 +247,16 @@ def _numbers(number: Index, over: Coverage, cells: PictureCells) -> Index:
     return out
 
 
+def _inside(over: Coverage, polygons: Sequence[Sequence[Array]]) -> Mask:
+    """The cells inside of polygons of rings (K, 2) of longitude and latitude."""
+    return cells_within([[over.from_lon_lat(ring) for ring in rings] for rings in polygons], *over.seen.shape)
+
+
 def _canopy(over: Coverage, woods: Sequence[Woods]) -> Array:
     """The share (rows, columns) that trees hide from above, by cell: where woods overlap, of the densest. (23.11)"""
-    rows, columns = over.seen.shape
-    out = np.zeros((rows, columns))
+    out = np.zeros(over.seen.shape)
     for wood in woods:
-        polygons = [[over.from_lon_lat(ring) for ring in rings] for rings in wood.polygons]
-        inside = cells_within(polygons, rows, columns)
-        out = np.where(inside, np.maximum(out, wood.canopy), out)
+        out = np.where(_inside(over, wood.polygons), np.maximum(out, wood.canopy), out)
     return out
 
 
@@ -296,7 +298,7 @@ def sector_detection(
     """
     inside = over.searched
     if polygons is not None:
-        inside = cells_within([[over.from_lon_lat(ring) for ring in rings] for rings in polygons], *over.seen.shape)
+        inside = _inside(over, polygons)
     weights = np.where(inside, over.cell_m2[:, None], 0.0)
     area = float(weights.sum())
     if area <= 0.0:

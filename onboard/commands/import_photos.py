@@ -200,13 +200,10 @@ def _placed(
     """The photographs where a file of positions has them, and that file: the one that was named, else one that lies
     with them, which replaces what they state, as OpenDroneMap takes it. Raises InputError where it lacks some of them.
     """
-    if len(named) == 1:
-        form = format_of(named[0])
+    path = found
+    if named:
+        form = format_of(named[0]) if len(named) == 1 else None
         path = named[0] if form is not None and form.key == "geo" else None
-    elif named:
-        path = None
-    else:
-        path = found
     if path is None:
         return photos, None
     places = read_geo(path)

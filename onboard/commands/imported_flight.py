@@ -249,7 +249,7 @@ def _toml(value: object) -> str:
 
 
 def log_rows(paths: Sequence[Path], log: TelemetryLog) -> list[Row]:
-    """What is listed of the flight's logs: their names, and how two were joined."""
+    """Return the rows about the flight's logs: their names, and how two were joined."""
     joining = [("logs", log.notes[-1])] if len(paths) > 1 else []
     return [("log", " and ".join(str(path) for path in paths)), *joining]
 
