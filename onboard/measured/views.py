@@ -78,8 +78,9 @@ class Features:
 
 @dataclass(frozen=True, eq=False)
 class Common:
-    """What a set's features have in common, as one view shows it (29.12): `by_pose` (6, 8), how its pose moves with it;
-    the information (8, 8) of it that the features' pixels have beyond the pose, and its right side (8,).
+    """The errors that a set's features have in common, as one view shows them (29.12): `by_pose` (6, 8), how its pose
+    moves with them; the information (8, 8) of them that the features' pixels have beyond the pose, and its right side
+    (8,).
     """
 
     by_pose: Array

@@ -271,11 +271,11 @@ class Follower:
         near = move(H, self._uv + np.array([[0.0, 0.0], [0.5, 0.0], [-0.5, 0.0], [0.0, 0.5], [0.0, -0.5]]))
         J = np.stack([near[1] - near[2], near[3] - near[4]], axis=1)
         before_ns = self._seen.stamp_ns - MOST_AGE_S * 1e9
-        self._been = [one for one, then in zip(self._been, [*self._been[1:], self._been[-1]], strict=True)
-                      if one[0] > before_ns or then[0] > before_ns or then is one]  # fmt: skip
-        places = move(H, np.stack([self._rest, self._stood, *(uv for _, uv in self._been)]))
+        # Those since then, and the last before.
+        been = self._been[max(sum(at_ns <= before_ns for at_ns, _ in self._been) - 1, 0) :]
+        places = move(H, np.stack([self._rest, self._stood, *(uv for _, uv in been)]))
         self._rest, self._stood = places[:2]
-        self._been = [(at_ns, uv) for (at_ns, _), uv in zip(self._been, places[2:], strict=True)]
+        self._been = [(at_ns, uv) for (at_ns, _), uv in zip(been, places[2:], strict=True)]
         self._velocity = J @ self._velocity
         self._uv = near[0] + self._velocity * dt
         q = (ACCELERATION_M_S2 / self._m_px + TURN_RAD_S * float(np.hypot(*self._velocity))) ** 2
