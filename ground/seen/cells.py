@@ -1,7 +1,8 @@
 """A grid of cells over the ground, by latitude and longitude: rows count northwards, columns eastwards.
 
-Cells are as wide as they are high about the place that the grid is made at; 50 km from there, at 45 degrees of
-latitude, 0.8 % wider or narrower. Areas are those of the ellipsoid. No projection and no zones: exports are EPSG:4326.
+Cells are as wide as they are high about the place that the grid is made at, to a tenth of a degree, so that one flight
+has the same cells whichever of its pictures comes first; 50 km from there, at 45 degrees of latitude, they are 0.8 %
+wider or narrower. Areas are those of the ellipsoid. No projection and no zones: exports are EPSG:4326.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ Index = NDArray[np.int64]
 
 LEAST_CELL_M, MOST_CELL_M = 0.05, 1000.0
 POLE_DEG = 85.0
+PLACE_DECIMALS = 1  # of a degree, of the place that cells are made about: 11 km, 0.1 % of a width at 45 degrees
 
 
 @dataclass(frozen=True)
@@ -37,8 +39,9 @@ class Cells:
             raise InputError(f"a cell is {LEAST_CELL_M:g} to {MOST_CELL_M:g} m wide, not {cell_m:g}")
         if abs(lat_deg) > POLE_DEG:
             raise InputError(f"beyond {POLE_DEG:g} degrees of latitude there are no cells")
-        north_m, east_m = metres_per_degree(lat_deg)
-        return cls(cell_m, cell_m / float(north_m), cell_m / float(east_m), lon_deg)
+        north_m, east_m = metres_per_degree(round(lat_deg, PLACE_DECIMALS))
+        lon0_deg = round(lon_deg, PLACE_DECIMALS)
+        return cls(cell_m, cell_m / float(north_m), cell_m / float(east_m), lon0_deg)
 
     def at(self, lat_deg: ArrayLike, lon_deg: ArrayLike) -> tuple[Index, Index]:
         """Rows and columns of the cells that hold places."""

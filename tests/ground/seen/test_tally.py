@@ -84,7 +84,6 @@ def test_the_order_in_which_sets_come_does_not_matter() -> None:
     maps = []
     for order in (range(8), (3, 0, 7, 5, 1, 2, 6, 4)):
         seen = SeenGround(2.0)
-        seen.cells = Cells.about(*MIDDLE, 2.0)
         for k in order:
             seen.add(sets[k])
         maps.append(fields_by_cell(seen))
