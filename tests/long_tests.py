@@ -46,22 +46,20 @@ class LongTests:
         late = [r.nodeid for r in terminalreporter.stats.get("skipped", []) if NO_TIME in str(r.longrepr)]
         if late:
             terminalreporter.section(f"{len(late)} LONG TESTS FOUND NO TIME", sep="!", red=True, bold=True)
-            terminalreporter.line("Their packages changed, and they were NOT run. To run them: make test-long ALL=1")
+            terminalreporter.line("They were chosen, and were NOT run. To run them: make test-long ALL=1")
             for name in sorted(late):
                 terminalreporter.line(f"  {name}")
 
 
 class ChosenLongTests(LongTests):
-    """The long tests that a submission runs: its third, then those of changed packages until their time is over."""
+    """The long tests that a submission runs: its third, then those of changed packages, each until its time is over."""
 
     def __init__(self, config: pytest.Config, choice: Choice | None = None) -> None:
         super().__init__(config, "make test-long ALL=1")
         self._choice = choice or Choice(history())
         os.environ.setdefault(BEGAN_VARIABLE, str(time.time()))  # once a run: workers inherit it
         submission = os.environ.get(SUBMISSION_BEGAN_VARIABLE)
-        self._last_s = self._choice.last_begin_s(
-            float(os.environ[BEGAN_VARIABLE]), float(submission) if submission else None
-        )
+        self._began_s = float(os.environ[BEGAN_VARIABLE]), float(submission) if submission else None
 
     @pytest.hookimpl(trylast=True)
     def pytest_collection_modifyitems(self, config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -77,8 +75,8 @@ class ChosenLongTests(LongTests):
         )
 
     def pytest_runtest_setup(self, item: pytest.Item) -> None:
-        is_late = time.time() > self._last_s
-        if is_late and item.get_closest_marker("long") and not self._choice.is_in_third(item.nodeid.partition("@")[0]):
+        name = item.nodeid.partition("@")[0]
+        if item.get_closest_marker("long") and time.time() > self._choice.last_begin_s(name, *self._began_s):
             pytest.skip(NO_TIME)
 
 

@@ -1,5 +1,6 @@
 """What a submission runs follows from what changed: a third, changed packages, and the machines that they concern."""
 
+import math
 import re
 import subprocess
 import sys
@@ -180,22 +181,33 @@ def test_each_file_states_what_it_tries() -> None:
 
 
 def test_a_submission_ends_in_half_an_hour_whatever_runs_after_the_long_tests() -> None:
-    """The last to begin leaves time for the bench and the packages where they run."""
+    """The last to begin leaves time for the bench and the packages where they run, the third's as well."""
     nothing, both = choice("docs/service.md"), choice("packaging/slim.py")
-    assert nothing.last_begin_s(600.0, 100.0) == 100.0 + 1800.0 - submission.LAST_LONG_S
-    kept_s = nothing.last_begin_s(600.0, 100.0) - both.last_begin_s(600.0, 100.0)
-    assert kept_s == sum(submission.PART_S.values())
-    assert both.last_begin_s(600.0) == 600.0 + 900.0
+    of_third = next(name for name in NAMES if nothing.is_in_third(name))
+    rest = next(name for name in NAMES if not nothing.is_in_third(name))
+    for test in (of_third, rest):
+        assert nothing.last_begin_s(test, 600.0, 100.0) == 100.0 + 1800.0 - submission.LAST_LONG_S
+        kept_s = nothing.last_begin_s(test, 600.0, 100.0) - both.last_begin_s(test, 600.0, 100.0)
+        assert kept_s == sum(submission.PART_S.values())
+        assert (
+            nothing.last_begin_s(test, 1700.0, 100.0) == 1700.0 + submission.LEAST_LONG_S
+        )  # a slow machine: some are run all the same
+
+
+def test_by_hand_the_third_runs_whole() -> None:
+    of_third = next(name for name in NAMES if choice().is_in_third(name))
+    rest = next(name for name in NAMES if not choice().is_in_third(name))
+    assert choice().last_begin_s(of_third, 600.0) == math.inf and choice().last_begin_s(rest, 600.0) == 600.0 + 900.0
 
 
 IN_A_CHECKOUT = "tests/onboard/link/test_rate.py"
 
 
-def long_run(began_s: str, monkeypatch: pytest.MonkeyPatch) -> str:
-    """A run of the chosen long tests of a file without the tests' own work."""
+def long_run(began_s: str, monkeypatch: pytest.MonkeyPatch, submission_began_s: str = "") -> str:
+    """A run of the chosen long tests of two files without the tests' own work."""
     monkeypatch.setenv(VARIABLE, "chosen")
     monkeypatch.setenv(BEGAN_VARIABLE, began_s)
-    monkeypatch.delenv(submission.BEGAN_VARIABLE, raising=False)
+    monkeypatch.setenv(submission.BEGAN_VARIABLE, submission_began_s)
     done = subprocess.run(
         [sys.executable, "-c", f"""
 import sys, pytest
@@ -225,3 +237,5 @@ def test_a_run_takes_what_is_chosen_and_names_what_found_no_time(monkeypatch: py
     no_time = int(re.findall(r"(\d+) LONG TESTS FOUND NO TIME", late)[0])
     assert 0 < no_time < passed and int(re.findall(r"(\d+) passed", late)[0]) == passed - no_time
     assert len(re.findall(rf"^  {IN_A_CHECKOUT}::", late, re.MULTILINE)) == no_time and NO_TIME in late
+    too_late = long_run("0", monkeypatch, "0")
+    assert f"{passed} LONG TESTS FOUND NO TIME" in too_late and "passed" not in too_late
