@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 
 from ground.web.tiles import open_tiles
+from tests.rest_long import rest_long
 from tests.waiting import eventually
 from tests.web.conftest import page_is_built
 from tests.web.flying import Flight
@@ -36,7 +37,9 @@ def share_drawn(page: Any) -> float:
     return share
 
 
-@pytest.mark.parametrize(("name", "write"), [("base.mbtiles", write_mbtiles), ("base.pmtiles", write_pmtiles)])
+@pytest.mark.parametrize(
+    ("name", "write"), rest_long([("base.mbtiles", write_mbtiles), ("base.pmtiles", write_pmtiles)])
+)
 def test_tiles_of_a_file_lie_under_the_map(
     tmp_path: Path, chromium: Any, name: str, write: Callable[[Path], None]
 ) -> None:
@@ -96,7 +99,7 @@ def elsewhere(tmp_path: Path) -> Iterator[str]:
     server.server_close()
 
 
-@pytest.mark.parametrize("name", ["region.mbtiles", "region.pmtiles", "URL/there.pmtiles", "URL/map.json"])
+@pytest.mark.parametrize("name", rest_long(["region.pmtiles", "region.mbtiles", "URL/there.pmtiles", "URL/map.json"]))
 def test_tiles_of_a_region_are_in_sight_before_any_aircraft_is(
     tmp_path: Path, chromium: Any, elsewhere: str, name: str
 ) -> None:

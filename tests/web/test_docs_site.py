@@ -27,6 +27,7 @@ def pages(site: Path) -> dict[Path, str]:
     return {page: page.read_text(encoding="utf-8") for page in site.rglob("*.html") if page.name != "404.html"}
 
 
+@pytest.mark.long
 def test_every_page_is_in_the_site_and_in_its_contents(site: Path) -> None:
     start = (site / "index.html").read_text(encoding="utf-8")
     written = {f"docs/{page.stem}.html" for page in (ROOT / "docs").glob("*.md")} | {"docs/modules.html"}

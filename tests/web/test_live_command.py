@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 from tests.onboard.link.ports import free_udp_port
+from tests.rest_long import rest_long
 from tests.scenarios.flights import simulated
 from tests.streamed_flight import StreamedFlight
 from tests.waiting import PATIENCE_S, eventually
@@ -122,13 +123,15 @@ def test_each_program_ends_with_the_other(flight: tuple[StreamedFlight, list[obj
 
 @pytest.mark.parametrize(
     ("arguments", "why"),
-    [
-        (("--camera", "foo:bar"), "camera.device = 'foo:bar' is none of /dev/NAME, libcamera:ID, rtsp://HOST/PATH"),
-        (("--set", "mount.pich_deg=3"), "unknown key 'mount.pich_deg'; did you mean 'mount.pitch_deg'?"),
-        (("--telemetry", "foo:1"), "telemetry.url 'foo:1': unknown kind 'foo'; one of serial:/dev/NAME:BAUD"),
-        (("--set", "mount"), "--set mount: it is SECTION.KEY=VALUE, as mount.pitch_deg=-45"),
-        (("--camera-file", "none.json"), "none.json: no such file; pc-onboard calibrate makes one"),
-    ],
+    rest_long(
+        [
+            (("--camera", "foo:bar"), "camera.device = 'foo:bar' is none of /dev/NAME, libcamera:ID, rtsp://HOST/PATH"),
+            (("--set", "mount.pich_deg=3"), "unknown key 'mount.pich_deg'; did you mean 'mount.pitch_deg'?"),
+            (("--telemetry", "foo:1"), "telemetry.url 'foo:1': unknown kind 'foo'; one of serial:/dev/NAME:BAUD"),
+            (("--set", "mount"), "--set mount: it is SECTION.KEY=VALUE, as mount.pitch_deg=-45"),
+            (("--camera-file", "none.json"), "none.json: no such file; pc-onboard calibrate makes one"),
+        ]
+    ),
 )
 def test_what_cannot_work_is_reported_in_one_line(tmp_path: Path, arguments: tuple[str, ...], why: str) -> None:
     page_is_built()

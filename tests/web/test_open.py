@@ -191,7 +191,7 @@ def wrong_setting(session: Path, folder: Path) -> list[object]:
             (no_log, "no log of the flight next to it"), (nothing_says_where, "no GPS position with a height"),
             (two_logs, "several logs"), (no_beginning, "when it began: give --start"),
         ],
-        kept=3,
+        kept=2,
     ),
 )  # fmt: skip
 def test_what_is_missing_is_reported_in_a_line(

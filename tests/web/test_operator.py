@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from ground.pins.model import PinClick
+from tests.rest_long import rest_long
 from tests.waiting import eventually
 from tests.web.browsing import Operator
 from tests.web.conftest import page_is_built
@@ -230,7 +231,7 @@ def test_three_pins_stay_next_to_the_card_and_all_its_buttons_are_in_view(anna: 
         )
 
 
-@pytest.mark.parametrize("theme", ["day", "night"])
+@pytest.mark.parametrize("theme", rest_long(["day", "night"]))
 def test_borders_of_controls_are_seen(anna: Operator, theme: str) -> None:
     anna.page.locator("#theme").select_option(theme)
     anna.click(300.0, 200.0)
@@ -428,6 +429,7 @@ def test_very_many_pins_are_shown_after_all_of_them_are_fitted(chromium: Any, tm
             page.context.close()
 
 
+@pytest.mark.long
 def test_axe_finds_nothing_on_a_phone_and_in_the_new_dialog(operators: Operators) -> None:
     axe = ROOT / "frontend" / "node_modules" / "axe-core" / "axe.min.js"
     anna = operators(has_map=False, viewport=PHONE, has_touch=True)
@@ -445,6 +447,7 @@ def test_axe_finds_nothing_on_a_phone_and_in_the_new_dialog(operators: Operators
     assert anna.page.evaluate(run) == []
 
 
+@pytest.mark.long
 def test_of_dozens_of_aircraft_one_is_found_by_what_is_typed_and_they_stand_in_groups(
     tmp_path: Path, chromium: Any
 ) -> None:

@@ -10,6 +10,7 @@ import pytest
 
 from ground.formats.rounded import decimals
 from ground.recording import Recording
+from tests.rest_long import rest_long
 from tests.waiting import PATIENCE_S
 from tests.web.browsing import Operator
 from tests.web.served import ROOT, Server, Simulated
@@ -175,10 +176,10 @@ def test_a_tie_moves_every_pin_of_the_aircraft(anna: Operator, simulated: Simula
     anna.page.locator("#tie-dialog [data-close]").click()
 
 
-@pytest.mark.parametrize("size", [(1280, 800), (1024, 768), (390, 844)])
-def test_no_button_is_cut_off(operators: Operators, size: tuple[int, int]) -> None:
+@pytest.mark.parametrize(("width", "height"), rest_long([(390, 844), (1280, 800), (1024, 768)]))
+def test_no_button_is_cut_off(operators: Operators, width: int, height: int) -> None:
     """On a laptop, a tablet held across and a phone; nor on a chosen pin's card, with what its radius is from."""
-    anna = operators(has_map=False, viewport={"width": size[0], "height": size[1]}, has_touch=size[0] < 1280)
+    anna = operators(has_map=False, viewport={"width": width, "height": height}, has_touch=width < 1280)
     cut = (
         "() => [...document.querySelectorAll('.toolbar button, .pin-card .buttons button')]"
         ".filter(e => e.offsetParent !== null).filter(e => { const b = e.getBoundingClientRect(),"

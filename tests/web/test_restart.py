@@ -122,6 +122,7 @@ def test_the_journal_makes_room_and_stops_before_the_disk_is_full(
         journal.close()
 
 
+@pytest.mark.long
 def test_a_page_that_is_open_while_a_journal_is_read_gets_all_of_it(chromium: Any, tmp_path: Path) -> None:
     """Far more pictures at once than an event holds."""
     page_is_built()

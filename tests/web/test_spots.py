@@ -187,6 +187,7 @@ def test_a_find_alarms_is_confirmed_or_dismissed_and_the_sound_can_be_muted(
     assert anna.by("found").first.get_attribute("data-news") is None and anna.by("mute").inner_text() == "Sound off"
 
 
+@pytest.mark.long
 def test_a_fire_is_an_area_on_the_map_with_its_words(flying: Callable[[], tuple[Flight, Operator]]) -> None:
     flight, anna = flying()
     page = anna.page

@@ -280,6 +280,7 @@ def test_what_was_clicked_is_followed_shown_and_ended(flying: Callable[..., tupl
     assert anna.by("track-box").count() == 0 and anna.by("track-end").is_hidden()
 
 
+@pytest.mark.long
 def test_the_ninth_is_refused_and_the_key_asks_too(flying: Callable[..., tuple[Flight, Operator]]) -> None:
     flight, anna = flying(has_map=False)
     anna.click(400.0, 300.0)
@@ -306,6 +307,7 @@ def test_nothing_is_offered_to_be_followed_where_the_aircraft_does_not_and_the_k
     assert flight.source.asked == []
 
 
+@pytest.mark.long
 def test_tracks_of_several_aircraft_are_distinguished(flying: Callable[..., tuple[Flight, Operator]]) -> None:
     flight, anna = flying(2)
     other = replace(report_at(1, 330.0, 240.0), vehicle="uav-2")
@@ -317,6 +319,7 @@ def test_tracks_of_several_aircraft_are_distinguished(flying: Callable[..., tupl
     assert is_boxed(anna, f"uav-2/{other.session}/1", 330.0, 240.0, 3.0)
 
 
+@pytest.mark.long
 def test_of_a_recording_what_was_followed_then_is_shown(tmp_path: Path, chromium: Any) -> None:
     page_is_built()
     path = tmp_path / "flight.mcap"
@@ -348,6 +351,7 @@ def test_of_a_recording_what_was_followed_then_is_shown(tmp_path: Path, chromium
         server.close()
 
 
+@pytest.mark.long
 def test_a_viewer_is_shown_places_and_has_nothing_to_press(tmp_path: Path, chromium: Any) -> None:
     page_is_built()
     record_rendered(tmp_path / "flight.mcap", 3)

@@ -18,6 +18,7 @@ from ground.recording import Recording
 from onboard.__main__ import main
 from tests.onboard.service.air import STRAIGHT
 from tests.onboard.service.process import ROOT, Aircraft, aircraft
+from tests.rest_long import rest_long
 from tests.scenarios.flights import Outcome, click
 from tests.waiting import eventually
 
@@ -146,11 +147,13 @@ def test_a_reload_in_flight(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("text", "printed"),
-    [
-        ("[camera]\nrate = 5\n", "did you mean 'camera.rate_hz'?"),
-        ("", "camera.file is not set"),
-        ('[camera]\nfile = "/nonexistent/camera.json"\n', "/nonexistent/camera.json"),
-    ],
+    rest_long(
+        [
+            ("[camera]\nrate = 5\n", "did you mean 'camera.rate_hz'?"),
+            ("", "camera.file is not set"),
+            ('[camera]\nfile = "/nonexistent/camera.json"\n', "/nonexistent/camera.json"),
+        ]
+    ),
 )
 def test_a_configuration_that_cannot_fly_is_one_line_and_exit_2(tmp_path: Path, text: str, printed: str) -> None:
     (tmp_path / "config.toml").write_text(text)
