@@ -132,7 +132,8 @@ def _replayed(args: argparse.Namespace) -> tuple[int, Path]:
     print("\n".join(printed), flush=True)
     replayed = _output([program, *shlex.split(replay)[1:], *([] if sys.stderr.isatty() else ["--progress"])])
     lines = replayed.stdout.rstrip("\n").split("\n")
-    print("\n".join(line for line in lines if not line.startswith("time, ")), flush=True)
+    # Without what took how long, and without the reports of hot spots, which the page shows.
+    print("\n".join(line for line in lines if not line.startswith(("time, ", "{"))), flush=True)
     if replayed.returncode == NOTHING_SOLVED:
         guess = "; of the camera nothing is known: give --set camera.fov_deg=DEGREES" if UNKNOWN in made.stdout else ""
         print(f"no picture was solved: there is nothing to click{guess}", file=sys.stderr)

@@ -22,6 +22,7 @@ from contract.rotations import euler_from_matrix, matrix_from_euler
 from onboard.camera.file_stamps import exif_moment
 from onboard.camera.photo_lens import Focal, focal_of, full_size, number
 from onboard.camera.pixel_formats import UNDECODABLE
+from onboard.camera.radiometric_jpeg import radiometric
 from onboard.camera.xmp_packet import read_xmp
 
 __all__ = ["Focal", "PhotoMetadata", "read_photo"]
@@ -59,6 +60,7 @@ class PhotoMetadata:
     gps_ns: int | None = None  # a receiver's time of its last fix (UTC), to the second as most cameras write it
     height_origin_is_unnamed: bool = False  # above the sea, a geoid or the ellipsoid: its source does not state which
     place_lacks_side: bool = False  # a latitude and longitude without what side of the equator and of Greenwich
+    counts: str = ""  # the kind of R-JPEG whose sixteen bit counts are the picture, of `size_px`; empty for others
 
 
 def read_photo(path: Path) -> PhotoMetadata:
@@ -70,7 +72,7 @@ def read_photo(path: Path) -> PhotoMetadata:
             gps = dict(exif.get_ifd(ExifTags.IFD.GPSInfo))
             packet = image.info.get("xmp", b"") or exif.get(ExifTags.Base.XMLPacket, b"")
             xmp = read_xmp(packet.encode() if isinstance(packet, str) else bytes(packet))
-            size_px = image.size
+            counts, size_px = radiometric(image) or ("", image.size)
     except UNDECODABLE as error:
         why = " ".join(str(error).split()).replace(str(path), path.name)
         raise InputError(f"photograph {path}: cannot be read ({why})") from error
@@ -104,6 +106,7 @@ def read_photo(path: Path) -> PhotoMetadata:
         stamp_is_utc=bool(stamp_ns) and _utc_at_exposure(xmp) is not None,
         gps_ns=_gps_time(gps),
         place_lacks_side=lacks_side,
+        counts=counts,
     )
 
 

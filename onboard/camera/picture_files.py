@@ -2,7 +2,8 @@
 
 Everything that can be known without decoding (names, sizes, stamps) is checked when the source is opened. Pictures are
 decoded by Pillow because it refuses a cut-off file where OpenCV would return a half-grey picture; orientation tags
-are ignored, a camera's calibration being in its sensor's own axes.
+are ignored, a camera's calibration being in its sensor's own axes. Of a thermal camera's R-JPEG the counts are taken,
+and not the palette that it is shown in.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ from contract.camera import Camera
 from contract.errors import InputError
 from onboard.camera.file_stamps import read_stamps, spread_within_seconds, stamp_from_exif, stamp_from_name
 from onboard.camera.pixel_formats import UNDECODABLE, reduce_16_bit
-from onboard.camera.thermal_grey import ThermalGrey
+from onboard.camera.radiometric_jpeg import counts_of, radiometric
+from onboard.camera.thermal_grey import ThermalGrey, refuse_palette
 from onboard.camera.video_times import dropped_note, frame_times_s
 from onboard.events.types import Frame
 
@@ -157,7 +159,9 @@ class PictureFolder:
         """
         try:
             with Image.open(self.folder / name) as image:
-                _check_size(f"frames {self.folder}: {name}", image.size, self.camera)
+                counted = radiometric(image)
+                size_px = image.size if counted is None else counted[1]
+                _check_size(f"frames {self.folder}: {name}", size_px, self.camera)
                 return None if has_stamps else stamp_from_exif(image, self._whole_seconds)
         except UNDECODABLE as error:
             raise self._undecodable(name, error) from error
@@ -224,6 +228,8 @@ class PictureFolder:
         thermal = ThermalGrey() if self._is_thermal else None
         for index, item in enumerate(self._stamped):
             try:
+                if thermal is not None and index == 0 and (shown := read_colour(self.folder / item.name)) is not None:
+                    refuse_palette(shown, f"frames {self.folder}: {item.name}")
                 raw = _read_raw(self.folder / item.name)
                 colour = read_colour(self.folder / item.name) if self._in_colour else None
             except UNDECODABLE as error:
@@ -244,6 +250,8 @@ def _grey_of(raw: Raw) -> NDArray[np.uint8]:
 def _read_raw(path: Path) -> Raw:
     """A picture file (H, W): what has sixteen bits as it is, anything else as grey; raises one of `UNDECODABLE`."""
     with Image.open(path) as image:
+        if (counts := counts_of(image)) is not None:
+            return counts
         if image.mode in SIXTEEN_BIT_MODES:
             return np.asarray(image).clip(0, 65535).astype(np.uint16)
         image.draft("L", image.size)  # a JPEG's own luma, without the way through colour
@@ -253,7 +261,7 @@ def _read_raw(path: Path) -> Raw:
 def read_colour(path: Path) -> NDArray[np.uint8] | None:
     """A picture file's colours, blue first (H, W, 3), in the sensor's axes as `read_grey`; None if it has none."""
     with Image.open(path) as image:
-        if image.mode not in ("RGB", "RGBA", "CMYK", "P"):
+        if image.mode not in ("RGB", "RGBA", "CMYK", "P") or radiometric(image) is not None:
             return None
         return np.ascontiguousarray(np.array(image.convert("RGB"), np.uint8)[:, :, ::-1])
 
@@ -371,6 +379,8 @@ class Video:
         picture = picture[..., 0] if picture.shape[2:] == (1,) else picture
         raw: Raw = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY) if picture.ndim == 3 else picture  # type: ignore[assignment]
         _check_size(f"frames {self.path}: {item.name}", (raw.shape[1], raw.shape[0]), self.camera)
+        if thermal is not None and number == 0 and picture.ndim == 3:
+            refuse_palette(np.asarray(picture, np.uint8), f"frames {self.path}")
         colour = np.asarray(picture, np.uint8) if self._in_colour and picture.ndim == 3 else None
         grey, counts = (_grey_of(raw), None) if thermal is None else thermal.picture(raw)
         return Frame(item.stamp_ns, number, grey, item.name, colour=colour, counts=counts)

@@ -15,6 +15,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from contract.errors import InputError
+
 Grey = NDArray[np.uint8]
 ThermalCounts = NDArray[np.uint16]
 Grid = NDArray[np.float32]
@@ -32,6 +34,7 @@ LEARNED_FROM = 48  # pictures of other ground, in the mean
 ENOUGH = 16  # of these, from which the mean is more the sensor's than the ground's if there is anything to be found
 STILL_THERE = 0.5  # of such a mean that must be found in a picture, else the pattern is another by now
 CELL_PX, CELLS_ROUND = 4, 9
+COLOURED_LEVELS, MOST_COLOURED = 30, 0.02  # between a pixel's channels; the share of such pixels: marks, no palette
 MOVED = 0.5  # correlation of two pictures' cells below which they show other ground
 
 
@@ -62,6 +65,16 @@ class ThermalGrey:
         grey: Grey = np.clip(level + np.float32(128.5), 0.0, 255.0).astype(np.uint8)
         self._last, self._gain = (counts, grey), gain
         return grey
+
+
+def refuse_palette(colour: NDArray[np.uint8], what: str) -> None:
+    """Raise InputError for a thermal picture (H, W, 3) in a palette of colours, whose brightness is not its heat."""
+    apart = colour.max(axis=2).astype(np.int16) - colour.min(axis=2)
+    if np.mean(apart > COLOURED_LEVELS) > MOST_COLOURED:
+        raise InputError(
+            f"{what}: shown in a colour palette, whose brightness does not rise with heat; record in white hot, or "
+            "pictures with counts (R-JPEG, 16 bit TIFF)"
+        )
 
 
 class FixedPattern:

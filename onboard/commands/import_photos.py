@@ -119,7 +119,7 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         sections, assumed = _by_log(log, times)
     if config is None:
-        assumed += _rows_of(photos[0], optics, sections)
+        assumed += _rows_of(photos[0], optics, sections) + _thermal_rows(photos[0], sections)
     if log is not None:
         if config is None or not times.is_of_flight:
             settled = parse_config(config_text(sections, settings))
@@ -170,6 +170,14 @@ def _rows_of(photo: PhotoMetadata, optics: Optics, sections: dict[str, dict[str,
         sections.setdefault("camera", {}).update(readout)
         return []
     return [] if optics.is_known else [rolling_shutter(sections)]
+
+
+def _thermal_rows(photo: PhotoMetadata, sections: dict[str, dict[str, str]]) -> list[Row]:
+    """Into the configuration: pictures with counts are a thermal camera's; what a count is in kelvin none states."""
+    if not photo.counts:
+        return []
+    sections["thermal"] = {"enabled": "true"}
+    return [("thermal", f"the counts in each {photo.counts}, uncalibrated: hot spots by contrast, no temperatures")]
 
 
 def _log(
@@ -263,6 +271,7 @@ def _photos(folder: Path) -> list[PhotoMetadata]:
     for what, values in (
         ("size", [photo.size_px for photo in photos]),
         ("camera", [photo.model for photo in photos]),
+        ("kind of counts", [photo.counts for photo in photos]),
     ):
         usual, _ = Counter(values).most_common(1)[0]
         odd = next((p for p, v in zip(photos, values, strict=True) if v != usual), None)

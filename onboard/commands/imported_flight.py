@@ -61,9 +61,14 @@ class ImportedFlight:
     replay: list[str] = field(default_factory=list)  # further arguments of the command
 
     def write(self, settings: dict[str, str]) -> None:
-        """The folder's files, after everything has been checked. Raises ConfigError for a wrong setting."""
+        """The folder's files, after everything has been checked; a thermal camera's are then searched for hot spots.
+
+        Raises ConfigError for a wrong setting.
+        """
         config = config_text(self.sections, settings)
-        parse_config(config)
+        parsed = parse_config(config)
+        if parsed.thermal.enabled and parsed.spots.enabled:
+            self.replay.append("--spots")
         self.out.mkdir(parents=True, exist_ok=True)
         (self.out / "stamps.csv").write_text("\n".join(self.stamps) + "\n")
         (self.out / "camera.json").write_text(self.optics.file_text)

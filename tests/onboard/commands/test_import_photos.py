@@ -12,6 +12,7 @@ from PIL import ExifTags, Image
 
 from contract.camera import Camera
 from contract.errors import InputError
+from contract.wire.message import SPOT_REPORTS
 from ground.__main__ import main as ground
 from ground.formats import table
 from ground.recording import Recording
@@ -29,6 +30,7 @@ from simulation.flight import DescribedSpec
 from simulation.paths import PathSpec
 from simulation.session import SessionSpec
 from tests.onboard.photographs import Style, write_photographs
+from tests.onboard.radiometric_pictures import make_radiometric
 from tests.own_flights import write_named_photographs
 from tests.rest_long import rest_long
 from tests.scenarios.flights import Outcome, click, simulated
@@ -84,6 +86,23 @@ def test_a_folder_of_photographs_is_clicked_within_its_radius(
     assert outcome.inside_99 >= 0.97, outcome.reported
     assert np.median(outcome.errors_m) < 3.0, outcome.reported
     assert 0.5 < np.median(outcome.semi_m) < widest_m, outcome.reported
+
+
+@pytest.mark.long
+def test_a_folder_of_r_jpegs_is_a_thermal_flight_clicked_by_its_counts(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Their picture is black hot, in colours and saturated."""
+    write_photographs(session, tmp_path / "photos", Style())
+    for path in (tmp_path / "photos").iterdir():
+        make_radiometric(path)
+    assert main(["import-photos", str(tmp_path / "photos"), "--out", str(tmp_path / "flight")]) == 0
+    config = parse_config((tmp_path / "flight" / "config.toml").read_text())
+    assert config.thermal.enabled and config.thermal.scale is None
+    outcome = replayed(session, tmp_path / "flight", capsys)
+    assert outcome.solved >= 0.9 and outcome.inside_99 >= 0.97 and np.median(outcome.errors_m) < 3.0, outcome.reported
+    recording = Recording(tmp_path / "flight" / "session.mcap")
+    assert len(recording.reports(SPOT_REPORTS, recording.vehicles)) == PICTURES  # each was searched for hot spots
 
 
 def test_it_says_what_it_assumed_and_writes_it_down(
