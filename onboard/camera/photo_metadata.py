@@ -27,6 +27,7 @@ from onboard.camera.xmp_packet import read_xmp
 
 __all__ = ["Focal", "PhotoMetadata", "read_photo"]
 
+DJI_SOURCES = ("WideCamera", "ZoomCamera", "InfraredCamera")  # of one payload, in the order in which one is taken
 RTK_FLAGS = {"34", "50"}  # DJI's RtkFlag: float, fixed
 MIN_READOUT_S, MAX_READOUT_S = 1e-3, 0.2  # of a whole picture
 
@@ -259,5 +260,7 @@ def _readout(xmp: Mapping[str, str], size_px: tuple[int, int]) -> float | None:
 
 def _band(xmp: Mapping[str, str]) -> tuple[int, str] | None:
     """Return the camera of a rig and its band, if the picture states that it is of one."""
-    index = number(xmp.get("Camera:RigCameraIndex"))
-    return None if index is None else (int(index), xmp.get("Camera:BandName", ""))
+    index, source = number(xmp.get("Camera:RigCameraIndex")), xmp.get("ImageSource", "")
+    if index is not None:
+        return int(index), xmp.get("Camera:BandName", "")
+    return (DJI_SOURCES.index(source), source) if source in DJI_SOURCES else None

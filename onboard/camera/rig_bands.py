@@ -1,4 +1,4 @@
-"""Rigs of several cameras that expose together (multispectral): one of them is a flight's camera."""
+"""Rigs of several cameras that expose together (multispectral, or wide, zoom and thermal): one is a flight's camera."""
 
 from __future__ import annotations
 

@@ -101,6 +101,7 @@ def run(arguments: argparse.Namespace) -> int:
     settings = settings_of(arguments.set)
     folder = picture_folder(arguments.folder)
     photos, rig = one_band(_photos(folder))
+    _check_one_camera(folder, photos)
     out: Path = arguments.out
     check_out(out)
     photos, times = _in_order(photos, arguments.utc_offset, next_to(folder, STAMPS))
@@ -267,7 +268,11 @@ def _photos(folder: Path) -> list[PhotoMetadata]:
         raise InputError(
             f"{folder}: {len(names)} pictures in it or below it; at least {MIN_PHOTOS} of one flight are needed"
         )
-    photos = [read_photo(folder / name) for name in names]
+    return [read_photo(folder / name) for name in names]
+
+
+def _check_one_camera(folder: Path, photos: list[PhotoMetadata]) -> None:
+    """Raise InputError for photographs of several cameras."""
     for what, values in (
         ("size", [photo.size_px for photo in photos]),
         ("camera", [photo.model for photo in photos]),
@@ -279,7 +284,6 @@ def _photos(folder: Path) -> list[PhotoMetadata]:
             raise InputError(
                 f"{folder}: {odd.name} has another {what} than most; keep the pictures of one camera in one folder"
             )
-    return photos
 
 
 def _in_order(

@@ -228,6 +228,19 @@ def test_a_fisheye_has_no_focal_length_of_ours(tmp_path: Path) -> None:
     assert photo(tmp_path, 'Camera:ModelType="fisheye"', make="Parrot", details=details).focal is None
 
 
+def test_the_cameras_of_dji_s_payload_are_a_rig_of_which_the_wide_one_is_taken(tmp_path: Path) -> None:
+    photos = [
+        photo(tmp_path, f'drone-dji:ImageSource="{source}"', make="DJI", name=f"DJI_{shot:04d}_{source[0]}.jpg")
+        for shot in range(3)
+        for source in ("InfraredCamera", "WideCamera", "ZoomCamera")
+    ]
+    kept, text = one_band(photos)
+    assert [p.name for p in kept] == [f"DJI_{shot:04d}_W.jpg" for shot in range(3)]
+    assert text == "WideCamera, camera 0 of a rig of 3; the others' 6 left out"
+    thermal = [p for p in photos if p.name.endswith("_I.jpg")]
+    assert one_band(thermal) == (thermal, "")
+
+
 def test_the_bands_of_a_rig_are_several_cameras(tmp_path: Path) -> None:
     photos = [
         photo(
