@@ -128,47 +128,13 @@ def test_a_camera_file_survives(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"fx_px": None}, "camera.json"),
-        ({"size_px": [640]}, "camera.json"),
-        ({"distortion_opencv_k1_k2_p1_p2_k3": [0.0] * 4}, "a list of 5 numbers"),
-        ({"model": "omni"}, "'omni' is not known; use 'pinhole' or 'fisheye'"),
-        ({"model": ["fisheye"]}, "is not known; use 'pinhole' or 'fisheye'"),
-        (
-            {"model": "fisheye"},
-            "distortion_opencv_k1_k2_p1_p2_k3 is of the model 'pinhole', and this camera's is 'fish",
-        ),
-        ({"distortion_fisheye_k1_k2_k3_k4": [0.0] * 4}, "k1_k2_k3_k4 is of the model 'fisheye', and this camera's is"),
-        ({"fy_px": -1.0}, "fy_px is -1.0: must be a number from 64 to"),
-        ({"cx_px": float("nan")}, "cx_px is NaN"),
-        ({"cx_px": 3195.0}, "cx_px is 3195.0: must be a number from -0.5 to 639.5"),
-        ({"fx_px": 8.0}, "fx_px is 8.0"),
-        ({"fx_px": 2000.0, "fy_px": 700.0}, "2.86 times fy_px"),
-        ({"fx_px": 400.0, "fy_px": 782.0}, 'fy_px is 1.955 times fx_px.*add "pixel_aspect": 1.955'),
-        ({"fx_px": 500.0, "fy_px": 440.0}, "fy_px is 0.88 times fx_px"),
-        ({"fx_px": 400.0, "fy_px": 782.0, "pixel_aspect": 1.42}, "pixel_aspect is 1.42, and fy_px is 1.955 times"),
-        ({"pixel_aspect": "1:1"}, "pixel_aspect"),
-        ({"fx_px": 10**400}, "camera.json"),
-        ({"fx_px": True}, "fx_px"),
-        ({"size_px": [640.5, 480]}, "640.5: must be a whole number"),
-        ({"size_px": [float("inf"), 480]}, "size_px"),
-        ({"distortion": [0.1] * 5}, "unknown key 'distortion'; did you mean 'distortion_opencv_k1_k2_p1_p2_k3'"),
-        ({"FX_PX": 500.0}, "unknown key 'FX_PX'; did you mean 'fx_px'"),
-        ({"fov": 60.0}, "unknown key 'fov'; known are "),
-        ({"fx": 500.0}, "unknown key 'fx'; did you mean 'fx_px'"),
-        ({"distortion_opencv_k1_k2_p1_p2_k3": [-40.0, 0.0, 0.0, 0.0, 0.0]}, "of the picture can be used"),
-        ({"calibration": {"sigmas": {}}}, "unknown key 'sigmas'; did you mean 'sigma'"),
-        ({"calibration": {"sigma": {"fx": 1.0}}}, "'cx' is missing"),
-        ({"calibration": {"sigma": dict.fromkeys(("fx", "cx", "cy", "k1", "k2"), -1.0)}}, "sigma: fx is -1.0"),
-        ({"calibration": []}, "calibration must be a JSON object"),
-    ],
+    "text", ["[" * 100_000, MILD.to_json().replace("700.0", "1" + "0" * 400)], ids=["deep", "huge"]
 )
-def test_a_wrong_camera_file_is_named(tmp_path: Path, change: dict[str, object], message: str) -> None:
-    path = tmp_path / "camera.json"
-    path.write_text(json.dumps({**json.loads(MILD.to_json()), **change}))
-    with pytest.raises(InputError, match=message):
-        Camera.from_json(path)
+def test_a_camera_file_without_measure_is_named(tmp_path: Path, text: str) -> None:
+    """What else is wrong with one: tests/transcripts/pc-onboard-camera.txt."""
+    (tmp_path / "camera.json").write_text(text)
+    with pytest.raises(InputError, match=r"camera\.json"):
+        Camera.from_json(tmp_path / "camera.json")
 
 
 def test_lenses_as_there_are_are_accepted(tmp_path: Path) -> None:
@@ -185,21 +151,3 @@ def test_lenses_as_there_are_are_accepted(tmp_path: Path) -> None:
         camera = Camera.from_json(path)
         assert camera.size_px == MILD.size_px
         assert Camera.from_text(camera.to_json(), "as written") == camera
-
-
-def test_a_missing_key_file_and_syntax_are_named(tmp_path: Path) -> None:
-    path = tmp_path / "camera.json"
-    with pytest.raises(InputError, match="No such file"):
-        Camera.from_json(path)
-    path.write_text("[" * 100_000)
-    with pytest.raises(InputError, match="not JSON"):
-        Camera.from_json(path)
-    path.write_text("[1]")
-    with pytest.raises(InputError, match="not a JSON object"):
-        Camera.from_json(path)
-    path.write_text("{")
-    with pytest.raises(InputError, match="not JSON"):
-        Camera.from_json(path)
-    path.write_text('{"size_px": [640, 480]}')
-    with pytest.raises(InputError, match="'fx_px' is missing"):
-        Camera.from_json(path)

@@ -34,29 +34,11 @@ def test_a_list_that_is_written_is_read_back_as_it_was(names: list[str], listen:
         assert [file.name for file in Path(folder).iterdir()] == ["fleet.toml"]
 
 
-@pytest.mark.parametrize(
-    ("text", "why"),
-    [
-        ('aircraft = ["a"]\noperators = ["a"]', "'a' is named twice, under aircraft and operators"),
-        ('router = "a"\nviewers = ["a"]', "'a' is named twice, under router and viewers"),
-        ('aircraft = ["a"]\npins = ["a"]', "'a' cannot share pins"),
-        ('aircraft = ["a/b"]', "must be 1 to 32 letters"),
-        ('aircraft = "a"', "aircraft must be a list of texts"),
-        ("aircraft = [1]", "aircraft must be a list of texts"),
-        ("router = 1", "router must be a name"),
-        ("sets_hz = -1", "sets_hz must be a number from 0 to 1000"),
-        ("sets_hz = true", "sets_hz must be a number"),
-        ("sets_hz = nan", "sets_hz must be a number"),
-        ('pilots = ["a"]', "unknown key 'pilots'; did you mean 'pins'"),
-        ("aircraft = [", "fleet.toml: "),
-        ("#" * (MAX_BYTES + 1), "more than 1000000 bytes"),
-    ],
-)
-def test_a_wrong_list_is_refused_with_what_is_wrong(tmp_path: Path, text: str, why: str) -> None:
-    path = tmp_path / "fleet.toml"
-    path.write_text(text)
-    with pytest.raises(InputError, match=why):
-        read_fleet(path)
+def test_a_list_without_end_is_refused(tmp_path: Path) -> None:
+    """What else is: tests/transcripts/pc-onboard-make-credentials.txt."""
+    (tmp_path / "fleet.toml").write_text("#" * (MAX_BYTES + 1))
+    with pytest.raises(InputError, match="more than 1000000 bytes"):
+        read_fleet(tmp_path / "fleet.toml")
 
 
 def test_what_is_left_out_has_its_default_and_who_shares_pins_may_also_be_a_person(tmp_path: Path) -> None:

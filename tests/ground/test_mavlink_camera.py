@@ -14,7 +14,6 @@ from contract.feature_set import Status
 from contract.topics import TRACKS
 from contract.track import Course, TrackReport, TrackState, Unseen
 from contract.wire.track_code import encode_track
-from ground.__main__ import main
 from ground.mavlink_camera import CLOCK_SIGMA_S, CameraOptions, GroundCamera
 from ground.mavlink_endpoint import MavlinkEndpoint
 from onboard.link.publisher import Publisher, Rate
@@ -118,22 +117,3 @@ def test_without_an_autopilot_or_sets_it_states_what_is_missing() -> None:
     with GroundCamera(wire, free_endpoint(), "uav-1", options=CameraOptions(system=3)) as camera:
         camera.look()
         assert camera.state.startswith("system 3: no set of 'uav-1' yet")
-
-
-@pytest.mark.parametrize(
-    ("words", "code", "why"),
-    [
-        ("udpout:127.0.0.1:9 --vehicle uav-1 --seconds 0.1", 0, "no autopilot yet"),
-        ("udpout:127.0.0.1:9 --vehicle uav-1 --component 1", 2, "100 to 105"),
-        ("udpout:127.0.0.1:9 --vehicle uav-1 --delay 60", 2, "0 to 10 s"),
-        ("udpout:127.0.0.1:9 --vehicle uav-1 --connect mavlink:udpin:0.0.0.0:14551", 2, "zenoh"),
-        ("udpout:127.0.0.1:9 --vehicle uav-1 --video http://x", 2, "none of rtsp"),
-        ("nowhere --vehicle uav-1", 2, "is none of"),
-    ],
-)
-def test_the_command_states_what_it_does_and_what_it_cannot(
-    words: str, code: int, why: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    line = ["mavlink", *words.split()]
-    assert main(line if "--connect" in line else [*line, "--connect", free_endpoint()]) == code
-    assert why in capsys.readouterr().err

@@ -97,7 +97,7 @@ def test_what_was_recorded_from_the_link_answers_like_the_aircraft(
     assert main(["click", "320", "240", "--frame", "5", "--from", str(folder), "--format", "json"]) == 0
     answer = json.loads(capsys.readouterr().out)
     expected = Locator(SETS[5]).locate((320.0, 240.0))
-    assert answer["lat_deg"] == pytest.approx(expected.lat_deg, abs=1e-6)  # type: ignore[union-attr]
+    assert answer["lat_deg"] == pytest.approx(expected.lat_deg, abs=1e-6)
     # Begun again: another part of the same session, read together with the first.
     again = ["record", "--out", str(folder), "--seconds", "0.7", "--connect", link]
     assert eventually(lambda: main(again) == 0 and len(list(folder.iterdir())) > 1)
@@ -228,4 +228,4 @@ def test_events_reach_a_tak_server_over_tls_and_no_other(tmp_path: Path, capsys:
     thread.join(PATIENCE_S)
     listener.close()
     (event,) = b"".join(got).splitlines()
-    assert ET.fromstring(event).find("point").get("ce") == "5.00"  # type: ignore[union-attr]
+    assert ET.fromstring(event).find("point").get("ce") == "5.00"

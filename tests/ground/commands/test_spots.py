@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from contract.feature_set import Status
-from contract.spot import Spot, SpotReport
+from contract.spot import SpotReport
 from contract.topics import FEATURES, SPOTS
 from contract.wire.codec import encode
 from contract.wire.message import SPOT_REPORTS
@@ -78,22 +77,6 @@ def test_each_thing_of_a_flight_is_a_line_and_all_are_saved(tmp_path: Path, caps
         assert "spot 2" in (tmp_path / name).read_text() and "spot 3" not in (tmp_path / name).read_text()
 
 
-def test_wrong_usage_and_nothing_found_are_a_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    flight = str(recorded(tmp_path / "flight"))
-    for words in (["--out", "x.txt"], ["--seconds", "3"]):
-        assert main(["spots", "--from", flight, *words]) == 2
-        assert len(capsys.readouterr().err.splitlines()) == 1
-    with LinkRecorder(tmp_path / "cold") as recorder:
-        recorder.take(FEATURES.key("uav-1"), encode(replace(plain_set(5), vehicle="uav-1")))
-        refused = Spot(10.0, 20.0, 9.0, status=Status.NO_GPS)
-        report = SpotReport(plain_set(5).session, 1, START_NS, False, (refused,))
-        recorder.take(SPOTS.key("uav-1"), encode_spots(report))
-    assert main(["spots", "--from", str(tmp_path / "cold")]) == 3
-    assert capsys.readouterr().err.splitlines() == [
-        "spots without a place, where a click has no answer either: 1", "no hot spot found; pictures searched: 1",
-    ]  # fmt: skip
-
-
 def test_live_a_thing_is_reported_when_it_is_sure_and_again_when_it_has_changed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -156,16 +139,16 @@ def test_a_machines_find_has_its_own_type_until_a_person_decides(tmp_path: Path)
     event = ET.fromstring(text)
     assert event.get("type") == "b-m-p-s-p-i" and event.get("how") == "m-r"
     remarks = event.find("detail/remarks")
-    assert remarks is not None and "unconfirmed" in (remarks.text or "") and "31.0 degC" in (remarks.text or "")
+    assert "unconfirmed" in (remarks.text or "") and "31.0 degC" in (remarks.text or "")
     with PinStore(tmp_path / "pins.sqlite") as store:
         assert decision(thing, decisions(store.everything())) is None
         pin = store.add([click_of(thing, "anna")], name="found by the machine")
         confirmed = decision(thing, decisions(store.everything()))
-        assert confirmed is not None and confirmed.id == pin.id and not confirmed.is_deleted
+        assert confirmed.id == pin.id and not confirmed.is_deleted
         assert decision(other, decisions(store.everything())) is None
         store.delete(store.add([click_of(other, "anna")]).id)
         dismissed = decision(other, decisions(store.everything()))
-        assert dismissed is not None and dismissed.is_deleted
+        assert dismissed.is_deleted
         # It stays so when the thing is seen again, in a better picture too.
         for report in reports():
             later = replace(report, capture_unix_ns=report.capture_unix_ns + 10**10, frame=report.frame + 100)
@@ -173,4 +156,4 @@ def test_a_machines_find_has_its_own_type_until_a_person_decides(tmp_path: Path)
         again = merger.things()[0]
         assert again.best.frame >= 100
         still_confirmed = decision(again, decisions(store.everything()))
-        assert still_confirmed is not None and still_confirmed.id == pin.id
+        assert still_confirmed.id == pin.id

@@ -156,13 +156,13 @@ def test_cot_has_speed_and_course_and_of_a_thing_at_rest_no_course() -> None:
     text = cot.track_event(REPORT, NOW_NS, 30.0)
     assert text is not None
     track = ET.fromstring(text).find("detail/track")
-    assert track is not None and (track.get("course"), track.get("speed")) == ("271.4", "14.98")
+    assert (track.get("course"), track.get("speed")) == ("271.4", "14.98")
     still = cot.track_event(replace(REPORT, course=Course(0.05, 0.1)), NOW_NS, 30.0)
     assert still is not None
     track = ET.fromstring(still).find("detail/track")
-    assert track is not None and track.get("course") is None and track.get("speed") == "0.00"
+    assert track.get("course") is None and track.get("speed") == "0.00"
     point = ET.fromstring(still).find("point")
-    assert point is not None and 2.0 < float(str(point.get("ce"))) < 2.5
+    assert 2.0 < float(str(point.get("ce"))) < 2.5
     assert cot.track_event(replace(REPORT, state=TrackState.LOST), NOW_NS, 30.0) is None
     assert cot.track_event(replace(REPORT, place=None), NOW_NS, 30.0) is None
 
@@ -183,11 +183,11 @@ def test_where_reports_stop_the_place_moves_on_and_widens_and_is_then_withdrawn(
     now, seen = [0.0], replace(REPORT, state=TrackState.FOLLOWED, unseen=Unseen.NONE)
     received = ReceivedTracks(lambda: now[0])
     received.take("pc/uav-1/tracks", encode_track(seen))
-    assert seen.place is not None and seen.course is not None
+    assert seen.course is not None
     frame = LocalFrame(seen.place.lat_deg, seen.place.lon_deg, 0.0)
     for now[0], state in ((0.8, TrackState.FOLLOWED), (1.9, TrackState.COASTING)):
         (report,) = received.newest(lambda _, stamp_ns: now[0] + 0.2)  # 0.2 s on its way
-        assert report.place is not None and report.state is state and report.unseen_s == pytest.approx(now[0] + 0.2)
+        assert report.state is state and report.unseen_s == pytest.approx(now[0] + 0.2)
         way = frame.to_enu(report.place.lat_deg, report.place.lon_deg, 0.0)[:2]
         assert np.hypot(*way) == pytest.approx(14.98 * (now[0] + 0.2), rel=1e-3) and way[0] < -10.0  # westward
         assert 1.0 < report.place.ellipse.semi_major_m - seen.place.ellipse.semi_major_m < 20.0
@@ -202,7 +202,7 @@ def test_a_report_that_came_late_is_as_old_as_its_picture() -> None:
     received = ReceivedTracks(lambda: 0.0)
     received.take("pc/uav-1/tracks", encode_track(replace(REPORT, state=TrackState.FOLLOWED, unseen=Unseen.NONE)))
     (report,) = received.newest(lambda *_: 3.0)
-    assert report.state is TrackState.FOLLOWED and report.place is not None
+    assert report.state is TrackState.FOLLOWED
     assert 20.0 < report.place.ellipse.semi_major_m < 50.0
     (report,) = received.newest(lambda *_: 50.0)
     assert report.state is TrackState.LOST and report.place is None

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from ground.__main__ import COMMANDS, main
+from ground.__main__ import main
 from tests.left_out import NO_PROGRAM
 
 PIN = ("pins", "add", "--at", "-43.38,172.40", "--name", "gate")
@@ -18,13 +18,6 @@ def test_both_programs_say_their_version(program: str) -> None:
     done = subprocess.run([sys.executable, "-m", program, "--version"], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.startswith(f"pc-{program} ") and done.stdout.count("\n") == 1
-
-
-@pytest.mark.parametrize("command", COMMANDS)
-def test_every_command_has_a_help(command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main([command, "--help"])
-    assert ended.value.code == 0 and "usage: pc-ground" in capsys.readouterr().out
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason=f"{NO_PROGRAM} /dev/full here")
@@ -54,18 +47,3 @@ def test_the_file_of_pins_may_be_named_before_the_action_or_after(
     assert '"gate"' in printed and '"who": "ann"' in printed
     assert main(["pins", "list", "--pins", pins]) == 0
     assert "gate" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    "action", [["list"], ["export"], ["ties"], ["measure", "1", "2"], ["undo"], ["clear"], [*PIN[1:]]]
-)
-def test_a_file_of_pins_that_cannot_be_there_is_not_made(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], action: list[str]
-) -> None:
-    assert main(["pins", *action, "--pins", str(tmp_path / "none" / "x.sqlite")]) == 2
-    assert capsys.readouterr().err.count("\n") == 1 and list(tmp_path.iterdir()) == []
-
-
-def test_what_only_reads_makes_no_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["pins", "list", "--pins", str(tmp_path / "mistyped.sqlite")]) == 2
-    assert "there is no such file of pins" in capsys.readouterr().err and list(tmp_path.iterdir()) == []

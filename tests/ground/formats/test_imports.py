@@ -43,19 +43,6 @@ def test_a_table_of_any_usual_kind_gives_the_same_place(data: bytes) -> None:
     assert (name, lat, lon) == ("Hütte", pytest.approx(-43.38), pytest.approx(172.40))
 
 
-@pytest.mark.parametrize(
-    ("data", "reported"),
-    [
-        (b"name,x,y\n1,2,3\n", "lat and lon"), (b"", "lat and lon"), (b"lat;lon\n1;x\n", "line 2"),
-        (b"lat;lon\n1,5;\n", "line 2"), (b"lat,lon\n91,0\n", "line 2"), (b"lat,lon\nnan,0\n", "line 2"),
-        (b"lat,lon,ce90_m\n1,2,wide\n", "ce90_m"), (b'lat,lon\n"1,2\n', "CSV"),
-    ],
-)  # fmt: skip
-def test_a_table_that_cannot_be_read_names_its_line(data: bytes, reported: str) -> None:
-    with pytest.raises(InputError, match=reported):
-        table.read(data)
-
-
 def test_our_own_events_come_back_with_name_place_and_accuracy(tmp_path: Path) -> None:
     given = [mark for mark in marks("zelt & =1", "by the barn") if mark.is_placed]
     path = tmp_path / "pins.cot"
@@ -88,19 +75,6 @@ def test_a_marker_of_tak_is_a_pin_and_aircraft_and_chat_are_not() -> None:
     place = Mark.of_pin(pin, fuse(pin.clicks))
     assert (place.lat_deg, place.lon_deg, place.ce90_m, place.height_ellipsoid_m) == (-43.38, 172.40, None, None)
     assert place.time_text.startswith("2026-01-02T03:04:05")
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "", "x", "<a/>", TAK.replace("-43.38", "north"), TAK.replace("-43.38", "91"), TAK.replace("<point", "<spot"),
-        '<!DOCTYPE e [<!ENTITY a "b">]>' + TAK, TAK[:-9], "\xff",
-    ],
-)  # fmt: skip
-def test_what_is_no_event_is_reported_in_a_line(text: str) -> None:
-    with pytest.raises(InputError, match=r"x\.cot") as caught:
-        read_pins_of("x.cot", text.encode("latin-1"))
-    assert len(str(caught.value).splitlines()) == 1
 
 
 def test_a_browser_s_file_is_read_by_its_name_or_the_kind_that_was_chosen() -> None:

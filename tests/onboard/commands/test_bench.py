@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from contract.camera import Camera
-from onboard.__main__ import main
 from onboard.commands.bench import Watch, report, text
 from onboard.config.schema import Config
 from onboard.events.types import Frame, PositionFix
@@ -97,34 +96,6 @@ def test_temperature_is_the_kernels(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     (tmp_path / "thermal_zone0" / "temp").write_text("40000\n")
     printed = text(report(LOAD, Config(), SMALL, 30.0, watch))
     assert "51 deg C before, 67 at most" in printed
-
-
-@pytest.mark.parametrize(
-    ("arguments", "printed"),
-    [
-        (["--rate", "0"], "pictures a second"),
-        (["--frames", "."], "--telemetry"),
-        (["--camera", "camera.json", "--size", "100x100"], "leave one of them out"),
-        (["nowhere.mcap"], "nowhere.mcap"),
-    ],
-)
-def test_wrong_usage_is_one_line(
-    arguments: list[str],
-    printed: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("camera.json").write_text(SMALL.to_json())
-    try:
-        code = main(["bench", "--config", "none.toml", *arguments])
-    except SystemExit as ended:
-        code = ended.code
-    shown = capsys.readouterr()
-    assert (code, shown.out) == (2, "")
-    assert printed in shown.err
-    assert len(shown.err.splitlines()) == 1
 
 
 def test_a_made_flight_is_the_same_each_time_and_moves_as_it_says() -> None:

@@ -1,6 +1,5 @@
 """`pc-onboard replay`: the order of events, and every kind of bad input in one line with nothing left behind."""
 
-import json
 import os
 import signal
 import subprocess
@@ -101,7 +100,7 @@ def arguments(session: Path, **changed: Path | str) -> list[str]:
 
 def test_events_arrive_in_order_of_time_pictures_by_stamp_telemetry_by_arrival(session: Path) -> None:
     sink = Recorder()
-    replay(opened(session), Recorder(), [sink])  # type: ignore[arg-type]
+    replay(opened(session), Recorder(), [sink])
     assert sink.moments == sorted(sink.moments)
     frames = [event for event in sink.events if isinstance(event, Frame)]
     assert [frame.index for frame in frames] == [0, 1, 2, 3, 4]
@@ -113,7 +112,7 @@ def test_events_arrive_in_order_of_time_pictures_by_stamp_telemetry_by_arrival(s
 
 def test_what_leaves_the_pipeline_reaches_every_sink_in_order(session: Path) -> None:
     one, two = Recorder(), Recorder()
-    replay(opened(session), Recorder(), [one, two])  # type: ignore[arg-type]
+    replay(opened(session), Recorder(), [one, two])
     assert [output.frame for output in one.sets] == [0, 1, 2, 3, 4, 99]
     assert one.sets == two.sets
 
@@ -121,7 +120,7 @@ def test_what_leaves_the_pipeline_reaches_every_sink_in_order(session: Path) -> 
 @pytest.mark.wall_clock
 def test_real_time_takes_real_time(session: Path) -> None:
     began = time.monotonic()
-    replay(opened(session), Recorder(), speed=4.0)  # type: ignore[arg-type]
+    replay(opened(session), Recorder(), speed=4.0)
     # One second before the first picture, 0.8 s of pictures, then as much of five seconds as the log still has.
     assert 0.4 < time.monotonic() - began < 5.0  # nearly seven at the flight's own pace
 
@@ -135,9 +134,9 @@ def test_a_stopped_replay_finishes_what_it_has_begun(session: Path) -> None:
         handed_out(arrival_ns, event)
         stop.set()
 
-    sink.event = stopped_at_once  # type: ignore[method-assign]
+    sink.event = stopped_at_once
     began = time.monotonic()
-    replay(flight, Recorder(), [sink], speed=0.05, stop=stop)  # type: ignore[arg-type]
+    replay(flight, Recorder(), [sink], speed=0.05, stop=stop)
     assert time.monotonic() - began < PATIENCE_S  # the first picture alone would be twenty seconds away, the end 130
     assert sink.left == "well"
     assert [output.frame for output in sink.sets] == [99]
@@ -145,11 +144,10 @@ def test_a_stopped_replay_finishes_what_it_has_begun(session: Path) -> None:
 
 def test_an_error_half_way_leaves_through_the_sinks(session: Path) -> None:
     flight = opened(session)
-    path = session / "frames" / "3.png"
-    path.write_bytes(path.read_bytes()[:500])
+    cut(session / "frames" / "3.png")
     sink = Recorder()
     with pytest.raises(InputError, match=r"3\.png cannot be decoded"):
-        replay(flight, Recorder(), [sink])  # type: ignore[arg-type]
+        replay(flight, Recorder(), [sink])
     assert sink.left == "InputError"
 
 
@@ -163,74 +161,8 @@ def test_a_long_log_takes_part_only_near_the_pictures(shared_data: Path, session
     assert 3.0 < (moments[-1] - flight.frames.stamps_ns[-1]) / 1e9 <= 5.0
 
 
-def spoil_decoding(session: Path) -> dict[str, Path | str]:
-    path = session / "frames" / "3.png"
-    path.write_bytes(path.read_bytes()[:500])
-    return {}
-
-
-def spoil_size(session: Path) -> dict[str, Path | str]:
-    (session / "camera.json").write_text(Camera.from_field_of_view(640, 480, 40.0).to_json())
-    return {}
-
-
-def spoil_key(session: Path) -> dict[str, Path | str]:
-    (session / "config.toml").write_text("[mount]\nyaw = 90.0\n")
-    return {}
-
-
-def spoil_camera(session: Path) -> dict[str, Path | str]:
-    raw = json.loads((session / "camera.json").read_text())
-    del raw["fx_px"]
-    (session / "camera.json").write_text(json.dumps(raw))
-    return {}
-
-
-def spoil_overlap(session: Path) -> dict[str, Path | str]:
-    lines = ["file,unix_time_s", *(f"{index}.png,{START_S + 86400.0 + index}" for index in range(5))]
-    (session / "stamps.csv").write_text("\n".join(lines))
-    return {}
-
-
-@pytest.mark.parametrize(
-    ("spoil", "printed"),
-    [
-        (lambda s: {"config": s / "none.toml"}, "none.toml: No such file"),
-        (lambda s: {"frames": s / "none"}, "no such folder or video"),
-        (lambda s: {"telemetry": s / "none.tlog"}, "none.tlog: No such file"),
-        (lambda s: {"telemetry": s / "stamps.csv"}, "no column lat_deg, lon_deg, height_amsl_m"),
-        (lambda s: {"camera": s / "none.json"}, "none.json: No such file"),
-        (lambda s: {"stamps": s / "none.csv"}, "none.csv: No such file"),
-        (lambda s: {"out": s / "none" / "out.mcap"}, "no such folder"),
-        (lambda s: {"speed": "fast"}, "argument --speed"),
-        (spoil_decoding, "3.png cannot be decoded"),
-        (spoil_size, "0.png is 64 x 48, the camera file states 640 x 480"),
-        (spoil_key, "unknown key 'mount.yaw'; did you mean 'mount.yaw_deg'?"),
-        (spoil_camera, "'fx_px' is missing"),
-        (spoil_overlap, "do not overlap"),
-    ],
-)
-def test_bad_input_is_one_line_exit_2_and_nothing_written(
-    session: Path, capsys: pytest.CaptureFixture[str], spoil: Any, printed: str
-) -> None:
-    changed = spoil(session)
-    before = sorted(session.rglob("*"))
-    try:
-        code = main(arguments(session, **changed))
-    except SystemExit as wrong_usage:
-        code = int(str(wrong_usage.code))
-    out, reported = capsys.readouterr()
-    assert (code, out) == (2, "")
-    assert printed in reported
-    assert reported.startswith("pc-onboard: error: ")
-    assert reported.count("\n") == 1
-    assert sorted(session.rglob("*")) == before
-
-
-def test_no_overlap_gives_both_spans_in_utc(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    spoil_overlap(session)
-    assert main(arguments(session)) == 2
-    assert capsys.readouterr().err.count(" UTC") == 4
+def cut(picture: Path) -> None:
+    picture.write_bytes(picture.read_bytes()[:500])
 
 
 def test_progress_without_a_terminal_is_lines(
@@ -249,13 +181,11 @@ def test_a_key_is_set_for_one_replay(session: Path, capsys: pytest.CaptureFixtur
     assert code == 3, capsys.readouterr().err
     config, _, _ = recorded_flight(session / "set.mcap")
     assert (config.mount.yaw_deg, config.vehicle.id) == (12.5, "x1")
-    assert main([*arguments(session), "--set", "mount.yaw=3"]) == 2
-    assert "did you mean 'mount.yaw_deg'?" in capsys.readouterr().err
 
 
 def test_an_earlier_recording_survives_a_failed_replay(session: Path) -> None:
     (session / "out.mcap").write_bytes(b"what was here")
-    spoil_decoding(session)
+    cut(session / "frames" / "3.png")
     assert main(arguments(session)) == 2
     assert (session / "out.mcap").read_bytes() == b"what was here"
 

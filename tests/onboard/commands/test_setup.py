@@ -315,24 +315,6 @@ def test_the_doctor_s_verdict_is_the_exit_code(out: Path) -> None:
     assert setup.run(arguments(out, "--yes"), None, around) == 1
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["--mount", "down"], "ROLL,PITCH,YAW"),
-        (["--mount", "0,-90"], "ROLL,PITCH,YAW"),
-        (["--mount", "0,nan,0"], "ROLL,PITCH,YAW"),
-        (["--fov-deg", "200"], "field of view"),
-        (["--size", "big"], "640x480"),
-    ],
-)
-def test_flags_that_are_no_values_are_usage(
-    out: Path, words: list[str], message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit) as ended:
-        arguments(out, *words)
-    assert ended.value.code == 2 and message in capsys.readouterr().err
-
-
 def test_lenses_are_known_by_what_drivers_call_them() -> None:
     found = {name: known_lens(name) for name in ("imx219 10-0010", "HD Pro Webcam C920", "imx477", "Integrated Camera")}
     assert [None if lens is None else round(lens.hfov_deg, 1) for lens in found.values()] == [62.2, 70.4, None, None]

@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 
 from contract.camera import Camera
 from contract.errors import ConfigError
-from onboard.__main__ import main
 from onboard.config.files import load_config_files, load_second_camera, state_folder
 from onboard.config.schema import Config, parse_config, to_toml
 
@@ -54,39 +53,6 @@ def test_a_second_camera_needs_a_file_and_a_first_that_sees_light(tmp_path: Path
 def test_without_a_folder_the_file_is_all(tmp_path: Path) -> None:
     (tmp_path / "config.toml").write_text("[camera]\nrate_hz = 10\n")
     assert load_config_files(tmp_path / "config.toml").camera.rate_hz == 10
-
-
-@pytest.mark.parametrize(
-    ("text", "printed"),
-    [
-        ("[camera]\nrate = 5\n", "did you mean 'camera.rate_hz'?"),
-        ("[camera]\nrate_hz = 5000\n", "0.1 to 240 Hz"),
-        ("[camera\n", "not TOML"),
-        ("camera = 5\n", "write [camera]"),
-    ],
-)
-def test_the_complaint_names_the_file_at_fault(
-    etc: Path, text: str, printed: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (etc / "config.d" / "10-good.toml").write_text("[camera]\nrate_hz = 15\n")
-    (etc / "config.d" / "20-bad.toml").write_text(text)
-    with pytest.raises(ConfigError) as caught:
-        load_config_files(etc / "config.toml")
-    assert str(etc / "config.d" / "20-bad.toml") in str(caught.value)
-    assert printed in str(caught.value)
-    assert main(["check-config", "--config", str(etc / "config.toml")]) == 2
-    complaint = capsys.readouterr().err
-    assert complaint.count("\n") == 1
-    assert "20-bad.toml" in complaint
-
-
-def test_check_config_names_every_file_it_found_good(etc: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (etc / "config.d" / "a.toml").write_text("")
-    assert main(["check-config", "--config", str(etc / "config.toml")]) == 0
-    assert capsys.readouterr().out.splitlines() == [
-        f"{etc / 'config.toml'}: good",
-        f"{etc / 'config.d' / 'a.toml'}: good",
-    ]
 
 
 @given(

@@ -122,7 +122,6 @@ def test_positions_are_where_the_flight_was_at_their_stamps(logs: dict[str, Tele
         assert fix.height_amsl_m == pytest.approx(HOME_M + ABOVE_M, abs=0.01)
         assert fix.height_above_home_m == (None if promise.above_m is None else pytest.approx(ABOVE_M, abs=0.01))
         if promise.has_velocity:
-            assert fix.velocity_ned_m_s is not None
             assert fix.velocity_ned_m_s[:2] == pytest.approx((SPEED, 0.0), abs=0.02)
         else:
             assert fix.velocity_ned_m_s is None
@@ -265,36 +264,14 @@ def test_a_damaged_log_gives_the_rest_or_one_line(tmp_path: Path, kind: str) -> 
 
 
 @pytest.mark.parametrize(
-    ("content", "reported"),
-    [
-        (b"", "is empty"),
-        (b"FMT, 128, 89, FMT, BBnNZ, Type,Length", "a DataFlash log as text"),
-        (b"\xff\xd8\xff\xe0\x00\x10JFIF" + bytes(50), "--telemetry exif"),
-        (b"PK\x03\x04" + bytes(60), "unpack it first"),
-        (b"\x89MCAP0\r\n" + bytes(60), "without --telemetry"),
-        (b"time,lat,lon\n1,2,3\n", "of another table rename the columns: unix_time_s,"),
-        (b"just some words\n", "of no known kind; known are an ArduPilot"),
-        (bytes(range(256)) * 30, "of a known kind; known are an ArduPilot"),
-        (b"\xfd", "of no known kind"),
-        (b"\xa3\x95\x80" + bytes(500), "telemetry"),
-        (b"ULog\x01\x12\x35\x01" + bytes(20), "telemetry"),
-        (b"unix_time_s,lat_deg\n1795217000,1\n", "no column lon_deg, height_amsl_m"),
-        (b"1\n00:00:00,000 --> 00:00:01,000\nHello\n", "no position in its 1 subtitles"),
-    ],
+    "head", [bytes(range(256)) * 30, b"\xa3\x95\x80" + bytes(500), b"ULog\x01\x12\x35\x01" + bytes(20)]
 )
-def test_what_is_no_log_is_one_line(tmp_path: Path, content: bytes, reported: str) -> None:
+def test_what_only_begins_like_a_log_is_one_line(tmp_path: Path, head: bytes) -> None:
+    """What else is none, and bad lines: tests/transcripts/pc-onboard-import-video.txt."""
     path = tmp_path / "x"
-    path.write_bytes(content)
-    with pytest.raises(InputError) as caught:
+    path.write_bytes(head)
+    with pytest.raises(InputError, match=r"^telemetry [^\n]*$"):
         read_log(path)
-    assert reported in str(caught.value) and "\n" not in str(caught.value)
-
-
-def test_a_missing_file_is_one_line(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="No such file"):
-        read_log(tmp_path / "none.bin")
-    with pytest.raises(InputError, match="directory"):
-        read_log(tmp_path)
 
 
 def test_without_pyulog_one_line_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -362,7 +339,7 @@ def test_of_two_receivers_the_one_in_use_counts(
     path = tmp_path / "flight.bin"
     path.write_bytes(log.bytes())
     last = of(read_log(path), GpsQuality)[-1]
-    assert last.fix is not None and last.fix.lat_deg == pytest.approx(LAT + 1e-4 * (place == "second"))
+    assert last.fix.lat_deg == pytest.approx(LAT + 1e-4 * (place == "second"))
     assert last.satellites == 12 - (place == "second")
     assert last.sigma_horizontal_m == pytest.approx(0.4 + (place == "second"))
 
@@ -459,49 +436,6 @@ def test_dialects_without_a_height_above_the_sea_ask_for_the_take_off_s(tmp_path
     if dialect == "phantom 4 rtk":
         R = matrix_from_quaternion(of(log, GimbalAttitude)[0].q_ref_gimbal)
         assert R[2, 0] == pytest.approx(1.0)
-
-
-@pytest.mark.parametrize(
-    ("text", "home_amsl_m", "reported"),
-    [
-        ("[latitude : -35.080155] [longtitude : -60.286702]", 100.0, "positions without any height"),
-        ("[latitude: 48.1] [longitude: 11.5] [abs_alt: 212.3]", 100.0, "leave --home-amsl-m out"),
-        ("[latitude: 0.000000] [longitude: 0.000000] [rel_alt: 1.0 abs_alt: 2.0]", None, "no position"),
-    ],
-)
-def test_subtitles_that_cannot_be_used_are_one_line(
-    tmp_path: Path, text: str, home_amsl_m: float | None, reported: str
-) -> None:
-    path = tmp_path / "a.srt"
-    path.write_text(SRT_HEAD + text + "\n", encoding="utf-8")
-    with pytest.raises(InputError, match=reported) as caught:
-        read_log(path, ReadOptions(home_amsl_m=home_amsl_m))
-    assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("line", "reported"),
-    [
-        ("1795217000,91,172,350", "line 3: lat_deg '91' is not a number that it can be"),
-        ("1795217000,-43,x,350", "line 3: lon_deg 'x'"),
-        ("17952170,-43,172,350", "line 3: '17952170' is not a Unix time"),
-        ("1795217000,-43,,350", "line 3: lat_deg, lon_deg, height_amsl_m go together"),
-        ("1795217000,-43,172", "line 3: not as many cells"),
-    ],
-)
-def test_a_bad_line_of_a_table_is_named(tmp_path: Path, line: str, reported: str) -> None:
-    path = tmp_path / "a.csv"
-    path.write_text(f"unix_time_s,lat_deg,lon_deg,height_amsl_m\n1795217000,-43,172,350\n{line}\n")
-    with pytest.raises(InputError) as caught:
-        read_log(path)
-    assert reported in str(caught.value)
-
-
-def test_a_column_that_is_not_known_is_named_and_not_left_out(tmp_path: Path) -> None:
-    path = tmp_path / "a.csv"
-    path.write_text("unix_time_s,lat_deg,lon_deg,height_amsl_m,heading\n1795217000,-43,172,350,3\n")
-    with pytest.raises(InputError, match="unknown column 'heading'; known are unix_time_s,lat_deg"):
-        read_log(path)
 
 
 def test_a_truth_table_of_the_recordings_is_telemetry_as_it_stands() -> None:
