@@ -58,7 +58,7 @@ def pixels_off(camera: Camera, xy: np.ndarray, u: np.ndarray, v: np.ndarray) -> 
 @EACH
 def test_a_pixel_is_where_the_tool_s_own_equations_put_it(written: Written, tmp_path: Path) -> None:
     read = read_camera_file(put(tmp_path, written.name, written.text), written.size)
-    assert read.form is not None and read.form.key == written.key and read.camera.size_px == (W, H)
+    assert read.form.key == written.key and read.camera.size_px == (W, H)
     assert read.camera.model == ("fisheye" if written in FISHEYES else "pinhole")
     xy = WIDE_XY if written in FISHEYES else XY
     u, v = written.project(*xy.T)
