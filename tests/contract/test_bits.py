@@ -30,7 +30,7 @@ def test_quotients_are_zeros_and_a_one_behind_what_is_fixed(fixed: list[int], qu
     stream = np.unpackbits(np.frombuffer(payload, np.uint8))
     assert "".join(map(str, stream)) == text + "0" * (-len(text) % 8)
     got = bits.bits_to_unary(stream[len(fixed) :], len(quotients))
-    assert got is not None and got[0].tolist() == quotients and got[1] == len(text) - len(fixed)
+    assert got[0].tolist() == quotients and got[1] == len(text) - len(fixed)
     assert bits.bits_to_unary(stream[len(fixed) :], len(quotients) + 1) is None
 
 

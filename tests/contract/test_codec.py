@@ -231,7 +231,6 @@ def test_a_set_of_a_rolling_shutter_takes_18_bytes_more() -> None:
     assert rolling[2] == encode(plain)[2] == 0x40
     assert len(rolling) - len(encode(plain)) == 18
     got = decode(rolling).shutter
-    assert got is not None
     assert (got.readout_s, got.sigma_readout_s) == (pytest.approx(0.03, rel=1e-6), pytest.approx(0.002, rel=1e-3))
     np.testing.assert_allclose(got.rate_cam_rad_s, shutter.rate_cam_rad_s, atol=0.00025)
     np.testing.assert_allclose(got.velocity_cam_m_s, shutter.velocity_cam_m_s, atol=0.005)

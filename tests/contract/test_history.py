@@ -34,8 +34,8 @@ def test_age_and_number_are_bounded() -> None:
 def test_late_sets_take_their_place_in_time() -> None:
     history = filled(at(5, 5.0), at(3, 3.0), at(4, 4.0))
     newest, near = history.newest(), history.nearest(3.4)
-    assert newest is not None and newest.frame == 5
-    assert near is not None and near.frame == 3
+    assert newest.frame == 5
+    assert near.frame == 3
 
 
 def test_a_new_session_takes_the_place_of_the_old_at_once() -> None:
@@ -49,7 +49,7 @@ def test_however_many_sets_of_an_earlier_session_come_they_change_nothing() -> N
     for late in range(20):
         history.add(earlier := at(late, 1000.0 + late, session=OK.session - 50), earlier)
     newest = history.newest()
-    assert len(history) == 100 and newest is not None and newest.frame == 99 and newest.session == OK.session
+    assert len(history) == 100 and newest.frame == 99 and newest.session == OK.session
 
 
 def test_an_aircraft_whose_clock_was_set_back_runs_when_that_is_known() -> None:
@@ -125,7 +125,7 @@ def test_memory_stays_bounded_whatever_sessions_come(sessions: int) -> None:
 def test_a_frame_refused_at_a_later_revision_no_longer_answers() -> None:
     history = filled(at(0, 0.0), at(1, 1.0), at(1, 1.0, revision=1, is_ok=False))
     newest = history.newest()
-    assert newest is not None and newest.frame == 0
+    assert newest.frame == 0
 
 
 @settings(deadline=None)

@@ -76,8 +76,7 @@ def as_written(xy: Array, r: Array, nugget: Array, slope: float, sill: float, at
     """
 
     def covariance(a: Array, b: Array) -> Array:
-        out: Array = sill * np.exp(-slope / sill * np.linalg.norm(a[:, None] - b[None], axis=-1))
-        return out
+        return sill * np.exp(-slope / sill * np.linalg.norm(a[:, None] - b[None], axis=-1))
 
     height = 1.0 / np.linalg.norm(ASLANT)
     H, h = (np.concatenate([np.ones((len(p), 1)), p], axis=1) for p in (xy, at))

@@ -20,13 +20,13 @@ EXACT = Errors(feature_relative=1e-7, relief_relative=0.0, roughness=0.0, common
 
 
 def answered(feature_set: FeatureSet, uv: object) -> Fix:
-    answer = locate(feature_set, uv)  # type: ignore[arg-type]
+    answer = locate(feature_set, uv)
     assert isinstance(answer, Fix), answer
     return answer
 
 
 def refused(feature_set: FeatureSet, uv: object) -> Status:
-    answer = locate(feature_set, uv)  # type: ignore[arg-type]
+    answer = locate(feature_set, uv)
     assert isinstance(answer, Refusal), answer
     return answer.status
 
@@ -64,7 +64,6 @@ def test_the_stated_ellipse_holds_ninety_percent_of_true_errors_absolute_and_rel
             heights.append(e[2] / fix.sigma_height_m)
         difference = world.error(1, two) - world.error(0, one)
         covariance = locator.difference_covariance(*world.clicks_px)
-        assert covariance is not None
         relative.append(difference[:2] @ np.linalg.solve(covariance[:2, :2], difference[:2]))
     assert 0.87 < np.mean(np.array(absolute) < CHI2_2) < 0.93
     assert 0.87 < np.mean(np.array(relative) < CHI2_2) < 0.93
@@ -176,7 +175,6 @@ def test_heights_keep_their_datum_and_the_unknown_stays_unknown() -> None:
     world = build(np.random.default_rng(17))
     uv, s = world.clicks_px[0], world.feature_set
     both = answered(s, uv)
-    assert both.height_ellipsoid_m is not None and both.height_amsl_m is not None
     assert both.height_ellipsoid_m - both.height_amsl_m == pytest.approx(20.0)
     amsl = answered(dataclasses.replace(s, undulation_m=float("nan")), uv)
     assert amsl.height_ellipsoid_m is None
@@ -255,8 +253,7 @@ def where_tilted_rays_meet_the_ground(answer: Fix, tilt_rad: float, rng: np.rand
     ray = p * np.cos(angle) + np.cross(axis, p) * np.sin(angle) + axis * (axis @ p)[:, None] * (1.0 - np.cos(angle))
     meets = ray[:, 2] < -1e-9 * np.linalg.norm(p)
     scale = np.where(meets, p[2] / np.where(meets, ray[:, 2], 1.0), np.inf)
-    out: np.ndarray = np.where(meets[:, None], ray[:, :2] * np.where(meets, scale, 0.0)[:, None] - p[:2], 1e12)
-    return out
+    return np.where(meets[:, None], ray[:, :2] * np.where(meets, scale, 0.0)[:, None] - p[:2], 1e12)
 
 
 @pytest.mark.parametrize("graze_deg", [5.0, 12.0, 17.0, 28.0, 32.0, 90.0])
@@ -266,7 +263,7 @@ def test_towards_the_horizon_the_ellipse_holds_what_exact_propagation_gives(graz
     tilt = math.radians(tilt_deg)
     answer = locate(level_ground_by_attitude(graze_deg, tilt), (np.array(CAMERA.size_px) - 1) / 2.0)
     if math.sqrt(CHI2_2) * tilt > 0.3 * math.sin(math.radians(graze_deg)) ** 2:
-        assert isinstance(answer, Refusal) and answer.status is Status.UNCERTAIN
+        assert answer.status is Status.UNCERTAIN
         return
     assert isinstance(answer, Fix), answer
     errors = where_tilted_rays_meet_the_ground(answer, tilt, np.random.default_rng(8), 20_000)
@@ -318,7 +315,7 @@ def test_many_pixels_of_known_ground_answer_as_each_by_itself(source: DepthSourc
     found = locator.answers(uv)
     for k, pixel in enumerate(uv):
         answer = locator.locate(pixel)
-        assert isinstance(answer, Fix) and found.is_answered[k]
+        assert found.is_answered[k]
         assert found.covariance_enu_m2[k] == pytest.approx(answer.covariance_enu_m2, rel=1e-6, abs=1e-9)
 
 
@@ -361,7 +358,7 @@ def test_the_height_above_the_ground_is_that_of_the_ground_below(pitch_deg: floa
     fix = answered(measured_at(world, 0, 0.92), world.clicks_px[0])
     level_m = answered(world.feature_set, world.clicks_px[0]).offset_enu_m[2]  # the world is level
     assert fix.above_ground_m == pytest.approx(fix.offset_enu_m[2] - level_m, abs=0.02)
-    assert fix.sigma_above_ground_m is not None and fix.sigma_above_ground_m < 0.005 * abs(level_m)
+    assert fix.sigma_above_ground_m < 0.005 * abs(level_m)
     assert '"above_ground_m": ' in fix.to_json() and "above the ground" in fix.to_text()
 
 
@@ -387,4 +384,4 @@ def test_the_difference_of_a_measured_and_another_click_leaves_out_what_they_sha
     same = locator.difference_covariance(one, one)
     assert same is not None and np.abs(same).max() < 1e-6
     parts = locator.error_parts(one)
-    assert parts is not None and parts.between_features == 0.0 and parts.feature_noise == pytest.approx(1e-3, rel=0.02)
+    assert parts.between_features == 0.0 and parts.feature_noise == pytest.approx(1e-3, rel=0.02)

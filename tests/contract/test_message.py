@@ -19,7 +19,7 @@ PIECE = cut(small_picture(), with_parity=False)[0]
     ("read", "topic", "payload"),
     [(read_set, FEATURES, SET), (peek_set, FEATURES, SET), (read_picture_piece, PICTURE, PIECE)],
 )
-def test_a_set_or_a_picture_on_another_vehicle_s_key_is_refused_by_name(read, topic, payload) -> None:  # type: ignore[no-untyped-def]
+def test_a_set_or_a_picture_on_another_vehicle_s_key_is_refused_by_name(read, topic, payload) -> None:
     read(topic.key("uav-1"), payload)
     with pytest.raises(ForeignMessage, match="'uav-2' sends what names 'uav-1'"):
         read(topic.key("uav-2"), payload)
@@ -34,6 +34,6 @@ def test_what_names_no_vehicle_is_its_key_s() -> None:
     assert read_status(STATUS.key("uav-2"), status)[0] == "uav-2"
     for read, topic in ((read_status, STATUS), (TRACK_REPORTS.read, TRACKS), (SPOT_REPORTS.read, SPOTS)):
         with pytest.raises(ValueError, match="is not a key of"):
-            read(FEATURES.key("uav-2"), status)  # type: ignore[operator]
+            read(FEATURES.key("uav-2"), status)
         with pytest.raises(WireError):
-            read(topic.key("uav-2"), b"\xff")  # type: ignore[operator]
+            read(topic.key("uav-2"), b"\xff")

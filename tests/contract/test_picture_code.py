@@ -43,7 +43,7 @@ def test_any_picture_comes_back_from_its_pieces_in_any_order(
         assert "does not go into" in str(error) and len(picture.content) > 100 * (max_bytes - 90)
         return
     assert all(len(piece) <= max_bytes for piece in pieces)
-    order.shuffle(pieces)  # type: ignore[attr-defined]
+    order.shuffle(pieces)
     assert put_together(pieces) == picture
 
 

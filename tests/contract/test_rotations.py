@@ -26,8 +26,7 @@ angles = st.one_of(st.floats(0.0, np.pi - 1e-6), st.sampled_from([0.0, 1e-12, 1e
 @st.composite
 def rotation_vectors(draw: st.DrawFn) -> Array:
     axis = draw(vectors.filter(lambda v: float(np.linalg.norm(v)) > 1e-3))
-    out: Array = axis / np.linalg.norm(axis) * draw(angles)
-    return out
+    return axis / np.linalg.norm(axis) * draw(angles)
 
 
 @given(vectors, vectors)

@@ -6,11 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from contract.errors import CorruptPayload, TruncatedPayload, WireError
 from contract.wire.parity import groups_of, joined, length_of, parities, pieces_of
 from contract.wire.set_pieces import (
     MAX_BYTES,
-    PIECE_HEAD,
     ReceiverReport,
     SetAssembly,
     SetPiece,
@@ -64,7 +62,7 @@ def test_a_set_is_whole_from_all_pieces_but_one_of_each_group_in_any_order(
 def test_two_lost_of_a_group_are_no_set_and_a_later_one_is_not_held_up(payload: bytes) -> None:
     assembly = SetAssembly()
     sent = packets(payload, None, 101)
-    groups = groups_of(read_piece(sent[0]).pieces)  # type: ignore[union-attr]
+    groups = groups_of(read_piece(sent[0]).pieces)
     assert all(taken(assembly, packet) is None for number, packet in enumerate(sent) if number not in (0, groups))
     later = [taken(assembly, packet) for packet in packets(b"later" + payload, 1.0, 101, of=4, first=100)]
     assert [found for found in later if found is not None] == [(b"later" + payload, 1.0)]
@@ -101,29 +99,12 @@ def test_a_report_states_how_long_ago_each_of_the_latest_packets_came() -> None:
     expected = {2: 2.6, 3: 2.1, 4: 2.08, 6: 1.1, 7: 1.1, 8: 0.6, 9: 0.1}  # of the last eight
     assert read.came_s == pytest.approx(expected, abs=0.011)
     later = read_report(encode_report(assembly.report(12.55)))
-    assert later is not None and sorted(later.came_s) == [8, 9]  # the others came more than 5 s ago
+    assert sorted(later.came_s) == [8, 9]  # the others came more than 5 s ago
     assert read_report(packet[:5]) == ReceiverReport(9, 9)  # as grounds of before report
 
 
-@given(st.binary(max_size=128))
-def test_any_bytes_are_a_piece_a_report_another_kind_or_a_wire_error(payload: bytes) -> None:
-    read_report(payload)
-    try:
-        piece = read_piece(payload)
-    except WireError:
-        return
-    if piece is not None:
-        SetAssembly().take(piece, 0.0)
-
-
-def test_pieces_that_cannot_be_are_refused() -> None:
+def test_pieces_that_cannot_be_are_not_cut_and_other_packets_are_none() -> None:
     good = packets(bytes(500), None, 101)[0]
-    with pytest.raises(TruncatedPayload):
-        read_piece(good[: PIECE_HEAD - 1])
-    with pytest.raises(CorruptPayload):
-        read_piece(good[:-1])
-    with pytest.raises(CorruptPayload):
-        read_piece(good[:4] + b"\xff" + good[5:])
     with pytest.raises(ValueError, match="a set of"):
         cut_set(bytes(MAX_BYTES), None, 101)
     assert read_piece(b"\x11" + good[1:]) is None and read_report(good) is None

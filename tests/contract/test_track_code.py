@@ -1,6 +1,5 @@
 """Reports of tracks: at most 60 bytes, read back, golden, and never anything but a WireError."""
 
-import contextlib
 from dataclasses import replace
 
 import pytest
@@ -8,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from contract.answer import Ellipse, Place
-from contract.errors import CorruptPayload, InputError, NewerPayload, TruncatedPayload, WireError
+from contract.errors import InputError
 from contract.feature_set import Status
 from contract.track import (
     Course,
@@ -106,40 +105,6 @@ def test_golden_bytes() -> None:
 def test_a_message_is_reports_one_after_the_other(reports: list[TrackReport]) -> None:
     payload = b"".join(encode_track(report) for report in reports)
     assert [report.number for report in decode_tracks(payload)] == [report.number for report in reports]
-
-
-@given(st.binary(max_size=200))
-def test_no_bytes_raise_anything_but_a_wire_error(payload: bytes) -> None:
-    for read in (decode_track, decode_tracks):
-        with contextlib.suppress(WireError):
-            read(payload)
-
-
-@given(st.integers(0, 56), st.integers(0, 255))
-def test_a_damaged_report_is_read_or_refused(at: int, value: int) -> None:
-    payload = bytearray(encode_track(REPORT))
-    payload[at] = value
-    try:
-        found = decode_track(bytes(payload))
-    except WireError:
-        return
-    assert found.place is None or abs(found.place.lat_deg) <= 90.0
-
-
-def test_what_is_wrong_is_named() -> None:
-    payload = encode_track(REPORT)
-    with pytest.raises(TruncatedPayload):
-        decode_track(payload[:-1])
-    with pytest.raises(TruncatedPayload):
-        decode_track(b"")
-    with pytest.raises(CorruptPayload):
-        decode_track(payload + b"\0")
-    with pytest.raises(CorruptPayload):
-        decode_track(b"\x01" + payload[1:])
-    with pytest.raises(NewerPayload):
-        decode_track(b"\x21" + payload[1:])
-    with pytest.raises(NewerPayload):
-        decode_track(payload[:4] + b"\xff" + payload[5:])
 
 
 REQUESTS = (
