@@ -75,11 +75,11 @@ class Flight:
 
     def close(self) -> None:
         self.true.close()
-        self.liar.close()  # type: ignore[no-untyped-call]
+        self.liar.close()
 
 
 @pytest.fixture
-def flight(station: Station):  # type: ignore[no-untyped-def]
+def flight(station: Station):
     flying = Flight(station)
     yield flying
     flying.close()

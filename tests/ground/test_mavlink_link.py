@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from contract.answer import Fix, Refusal
+from contract.answer import Fix
 from contract.errors import LinkError
 from contract.feature_set import Status
 from contract.wire.codec import encode
@@ -73,8 +73,8 @@ class Aircraft:
         self.newest = PAYLOAD
         self.end, self.autopilot = PymavlinkEnd(config, key), PymavlinkEnd(config, key)
         self.autopilot._mav.srcComponent = 1
-        self.end.attach(self.wire)  # type: ignore[arg-type]
-        self.autopilot.attach(self.wire)  # type: ignore[arg-type]
+        self.end.attach(self.wire)
+        self.autopilot.attach(self.wire)
         self.passage = Passage(config, self.radio)
         self.received: list[str] = []
         self.room_bytes = (
@@ -121,11 +121,11 @@ def test_clicks_are_answered_one_after_the_other_over_one_link() -> None:
     with flying() as (radio, (aircraft,)), MavlinkLink(MavlinkEndpoint.parse(radio)) as link:
         began_s = time.monotonic()
         first, second = link.ask(320.0, 240.0), link.ask(-5.0, 240.0)
-        assert isinstance(first, Fix) and (first.vehicle, first.frame) == ("uav-1", 7)
+        assert (first.vehicle, first.frame) == ("uav-1", 7)
         took_s = time.monotonic() - began_s
         # At the click, as old as when it was looked up less what the question waited before.
-        assert first.age_s is not None and 0.244 - took_s <= first.age_s < 0.25 + took_s + 0.5
-        assert isinstance(second, Refusal) and second.status is Status.OUTSIDE
+        assert 0.244 - took_s <= first.age_s < 0.25 + took_s + 0.5
+        assert second.status is Status.OUTSIDE
         assert "HEARTBEAT" in aircraft.received  # by which the autopilot learns where we are
 
 
@@ -203,7 +203,7 @@ def test_watch_shows_the_aircrafts_own_words_of_its_radio(
         for frame in range(3):
             aircraft.radio.feed.offer(a_set(frame))
         stated = RadioState(Held.BY_RADIO, 400.0, 15.0)
-        aircraft.radio.feed._state = lambda now_s: stated  # type: ignore[method-assign]
+        aircraft.radio.feed._state = lambda now_s: stated
         rows: list[dict[str, Any]] = []
 
         def is_shown() -> bool:
@@ -273,7 +273,7 @@ def test_watch_and_record_show_and_keep_the_sets_that_come_in_pieces(
     kept = recording.by_frame(vehicle, 2)
     assert kept is not None and encode(kept) == a_set(2).item
     assert rows[-1]["vehicle"] == vehicle
-    assert rows[-1]["age_s"] is not None and 0.25 <= rows[-1]["age_s"] < 0.25 + took_s
+    assert 0.25 <= rows[-1]["age_s"] < 0.25 + took_s
 
 
 def test_another_vehicles_sets_are_left_out_and_what_needs_single_pictures_says_so() -> None:

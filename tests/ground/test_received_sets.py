@@ -46,7 +46,7 @@ class World:
 
     def age_s(self, at_s: float) -> float:
         reply = self.sets.reply(self.moment(at_s))
-        assert reply is not None and reply.age_s is not None
+        assert reply.age_s is not None
         return reply.age_s
 
     def newest(self) -> FeatureSet:

@@ -61,22 +61,22 @@ def test_sets_are_found_by_frame_time_name_and_as_the_newest_that_answers(sessio
     assert recording.vehicles == ["uav-1"]
     assert recording.frames("uav-1") == [0, 1, 2, 3, 4, 5]
     three = recording.by_frame("uav-1", 3)
-    assert three is not None and three.capture_unix_ns == START_NS + 3 * 10**9
+    assert three.capture_unix_ns == START_NS + 3 * 10**9
     assert recording.by_frame("uav-1", 6) is None
     near = recording.by_time("uav-1", START_NS / 1e9 + 2.4)
-    assert near is not None and near.frame == 2
+    assert near.frame == 2
     assert recording.by_time("uav-1", START_NS / 1e9 - 0.6) is None
     newest = recording.newest("uav-1")
-    assert newest is not None and newest.frame == 4
+    assert newest.frame == 4
     refused = recording.by_frame("uav-1", 5)
-    assert refused is not None and refused.status is Status.TURNING
+    assert refused.status is Status.TURNING
     assert recording.frame_of_file("uav-1", 'image "1" ü.png') == 1
     assert recording.frame_of_file("uav-1", "image") is None
 
 
 def test_the_highest_revision_of_a_frame_counts(session: Path) -> None:
     two = Recording(session).by_frame("uav-1", 2)
-    assert two is not None and two.revision == 3
+    assert two.revision == 3
 
 
 def test_the_same_session_gives_the_same_bytes(session: Path, tmp_path: Path) -> None:
@@ -127,7 +127,6 @@ def test_a_killed_recorder_loses_nothing(tmp_path: Path) -> None:
     )
     command = [sys.executable, "-c", script, str(path)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, cwd=Path(__file__).parents[2]) as process:
-        assert process.stdout is not None
         assert process.stdout.readline() == b"written\n"
         os.kill(process.pid, signal.SIGKILL)
     assert Recording(path).frames("uav-1") == list(range(400))
@@ -281,7 +280,7 @@ def test_a_chunked_file_is_read_through_the_mcap_package(tmp_path: Path) -> None
     write_chunked(path)
     recording = Recording(path)
     two = recording.by_frame("uav-1", 2)
-    assert recording.frames("uav-1") == [0, 1, 2] and two is not None
+    assert recording.frames("uav-1") == [0, 1, 2]
     np.testing.assert_allclose(two.plane_per_m, BASE.plane_per_m, rtol=1e-6)
 
 

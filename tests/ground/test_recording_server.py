@@ -42,12 +42,12 @@ def test_a_roof_of_a_recording_is_measured_and_what_ends_the_program_is_named(re
     its_set = set_of(recording)
     with RecordingServer(recording) as server:
         found = server.measured(its_set, ROOF)
-        assert found.clicked is not None and found.clicked.is_measured
+        assert found.clicked.is_measured
         depth = float(WORLD.depths(CLICKED, np.array(ROOF))[0])
         assert found.clicked.inverse_depth_per_m * depth == pytest.approx(1.0, abs=0.01)
         assert np.array_equal(found.uv_px, its_set.uv_px) and found.revision == its_set.revision
         border = server.measured(its_set, (3.0, 3.0)).clicked
-        assert border is not None and border.measured is Measured.BORDER
+        assert border.measured is Measured.BORDER
         for strange in (replace(its_set, frame=99), replace(its_set, session=6)):
             with pytest.raises(LinkError, match="did not try"):
                 server.measured(strange, ROOF)
@@ -77,8 +77,7 @@ def test_the_commands_measure_in_a_recording_unless_interpolated_is_asked_for(
         assert main([*map(str, words), *source]) == 0
         printed = capsys.readouterr()
         assert printed.err == ""
-        found: dict[str, Any] = json.loads(printed.out)
-        return found
+        return json.loads(printed.out)
 
     found = answer("click", *ROOF)
     assert found["method"] == "measured" and found["above_ground_m"] == pytest.approx(8.0, abs=1.0)

@@ -57,7 +57,7 @@ def shown_by(uv: Array, readout_s: float) -> Array:
 
 def located(feature_set: FeatureSet, uv: Array) -> tuple[Array, Fix]:
     answer = Locator(feature_set).locate(uv)
-    assert isinstance(answer, Fix) and answer.offset_enu_m is not None
+    assert answer.offset_enu_m is not None
     return answer.offset_enu_m, answer
 
 
@@ -101,7 +101,6 @@ def test_the_vector_between_clicks_of_one_set_knows_the_readout_errs_for_both() 
 
     def added(one: Array, two: Array) -> float:
         before, after = sure.difference_covariance(one, two), unsure.difference_covariance(one, two)
-        assert before is not None and after is not None
         return float(np.trace(after - before))
 
     assert added(top, bottom) > 20.0 * added(top, near) > 0.0

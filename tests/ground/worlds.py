@@ -55,8 +55,7 @@ def common_covariance(rng: np.random.Generator) -> Array:
 def root(covariance: Array) -> Array:
     """L with L L' = covariance, which may be singular."""
     values, vectors = np.linalg.eigh(covariance)
-    out: Array = vectors * np.sqrt(np.maximum(values, 0.0))
-    return out
+    return vectors * np.sqrt(np.maximum(values, 0.0))
 
 
 def relief_at(rng: np.random.Generator, xy: Array, plane: Array, errors: Errors) -> Array:
@@ -68,8 +67,7 @@ def relief_at(rng: np.random.Generator, xy: Array, plane: Array, errors: Errors)
     d = np.linalg.norm(places[:, None] - places[None], axis=-1)
     slope = errors.roughness / stretch(xy, plane)
     root = np.linalg.cholesky(s2 * np.exp(-slope / s2 * d) + 1e-12 * np.eye(len(xy)))
-    sample: Array = root @ rng.normal(size=len(xy))
-    return sample
+    return root @ rng.normal(size=len(xy))
 
 
 def build(
@@ -154,5 +152,4 @@ def _spread(rng: np.random.Generator, count: int) -> Array:
     rows = -(-count // columns)
     cells = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2)
     chosen = cells[rng.permutation(len(cells))[:count]]
-    out: Array = 10.0 + (chosen + rng.uniform(0.1, 0.9, (count, 2))) * [620.0 / columns, 460.0 / rows]
-    return out
+    return 10.0 + (chosen + rng.uniform(0.1, 0.9, (count, 2))) * [620.0 / columns, 460.0 / rows]

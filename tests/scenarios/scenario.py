@@ -88,7 +88,6 @@ class Expected:
 
 def why(outcome: Outcome) -> str:
     """Reason and remedy where nothing was solved."""
-    assert outcome.pipeline is not None
     summary = outcome.pipeline.summary
     assert summary.solved == 0 and summary.shortfall is not None, outcome.reported
     return f"{summary.shortfall.reason}; {summary.shortfall.remedy}"
@@ -100,7 +99,7 @@ ANSWERS = Expected(answered=0.6, median_m=8.0, semi_m=(0.0, 25.0))
 
 def solved(least: float = 0.9, median_m: float = 8.0, **more: object) -> Expected:
     """Answered nearly everywhere, near enough, inside of what is claimed, and the claim is worth something."""
-    return replace(SOLVED, solved=(least, 1.0), median_m=median_m, **more)  # type: ignore[arg-type]
+    return replace(SOLVED, solved=(least, 1.0), median_m=median_m, **more)
 
 
 def refused(*reasons: Status, starting: float = 0.5) -> Expected:
@@ -110,7 +109,7 @@ def refused(*reasons: Status, starting: float = 0.5) -> Expected:
 
 def either(*reasons: Status, **more: object) -> Expected:
     """Return bounds by which what is answered holds, and what is refused has one of these reasons."""
-    return Expected(may_refuse_all=True, reasons=reasons, **more)  # type: ignore[arg-type]
+    return Expected(may_refuse_all=True, reasons=reasons, **more)
 
 
 def unsolved(shortfall: str) -> Expected:

@@ -26,13 +26,13 @@ WIDE = Camera.from_field_of_view(320, 240, 70.0)
 
 def over(style: str, spec: SessionSpec = LEG, seed: int = 0, **texture: float) -> SessionSpec:
     """A flight over another ground."""
-    return replace(spec, seed=seed, texture=TextureSpec(style, seed=seed, **texture))  # type: ignore[arg-type]
+    return replace(spec, seed=seed, texture=TextureSpec(style, seed=seed, **texture))
 
 
 def along(path: PathSpec, telemetry: TelemetrySpec | None = None, **changes: object) -> SessionSpec:
     """A leg along another path, or with other telemetry."""
     flight = DescribedSpec(path) if telemetry is None else DescribedSpec(path, telemetry)
-    return replace(LEG, flight=flight, **changes)  # type: ignore[arg-type]
+    return replace(LEG, flight=flight, **changes)
 
 
 def apart(apart_s: float, pictures: int = 12, speed_m_s: float = 12.0, height_m: float = 300.0) -> SessionSpec:

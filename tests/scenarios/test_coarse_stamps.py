@@ -26,7 +26,6 @@ def test_a_pose_by_sensors_alone_owns_up_to_its_stamp(jitter_s: float) -> None:
     R_enu_body = R_ENU_NED @ matrix_from_euler(0.0, 0.0, 0.0)
     nav = NavState(0, np.zeros(3), np.array([0.0, 14.0, 0.0]), R_enu_body, 1.5, 2.5, 0.3, 0.0, 150.0)
     pose = window.sensor_pose(nav)
-    assert pose is not None
     east, north = np.sqrt(np.diag(pose.white)[:2])
     assert east == pytest.approx(0.3)
     assert north == pytest.approx(np.hypot(0.3, 14.0 * jitter_s))

@@ -32,7 +32,6 @@ def test_boresight_and_time_offset_are_learned_in_turns() -> None:
         camera_delay_s=0.3, clicks_per_frame=3,
     )  # fmt: skip
     outcome = play(simulated(spec), ("mount.sigma_deg", 3.0), ("camera.sigma_latency_s", 0.3))
-    assert outcome.pipeline is not None
     platform = outcome.pipeline.window.alignment.platform
     boresight = np.degrees(platform.mean[:3]) - [3.0, -1.0, 1.5]
     assert np.abs(boresight).max() < 0.3 + 3.0 * np.degrees(platform.sigma[2]), (boresight, np.degrees(platform.sigma))

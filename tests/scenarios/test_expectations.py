@@ -23,7 +23,7 @@ def outcome(statuses: list[Status], ratios: list[float], **changed: object) -> O
         sets, Counter({Status.UNCERTAIN: 2}), Counter({"plane": count}), np.full(count, 3.0),
         CHI2_90 * np.square(ratios), np.full(count, 5.0), None,
     )  # fmt: skip
-    return replace(plain, **changed)  # type: ignore[arg-type]
+    return replace(plain, **changed)
 
 
 FLIGHT = outcome([STARTING, *[OK] * 7, NO_GPS, OK], [0.5] * 8)

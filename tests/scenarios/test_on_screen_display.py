@@ -33,7 +33,6 @@ def with_display(session: Path, folder: Path) -> Path:
 
 
 def standing(outcome: Outcome) -> float:
-    assert outcome.pipeline is not None
     return outcome.pipeline.summary.left_out.standing
 
 

@@ -93,7 +93,6 @@ def test_rendered_rows_are_tracked_and_answered_as_truth_says() -> None:
     assert found.solved > 0.8 and len(found.errors_m) > 150, found.reported
     assert np.mean(found.chi2 < CHI2_90) > 0.85, found.reported
     assert np.median(found.errors_m) < 4.0
-    assert found.pipeline is not None
     readout_s, sigma_s = found.pipeline.window.readout
     assert sigma_s < 0.01 and abs(readout_s - RENDERED.readout_s) < 3.0 * sigma_s
 

@@ -26,13 +26,10 @@ def replayed(folder: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, str
     return main(["replay", *words]), capsys.readouterr().out
 
 
-def test_a_replay_that_solves_nothing_exits_with_3_and_prints_the_reason(capsys: pytest.CaptureFixture[str]) -> None:
-    code, out = replayed(simulated(apart(0.1, 20)), capsys)
-    assert code == 3
-    assert "nothing solved" in out and "too short" in out and "what to do" in out
-
-
-def test_a_replay_that_solves_exits_with_0(capsys: pytest.CaptureFixture[str]) -> None:
-    code, out = replayed(simulated(apart(10.0, 6)), capsys)
-    assert code == 0
-    assert "nothing solved" not in out
+@pytest.mark.parametrize(("apart_s", "pictures", "exit_code"), [(0.1, 20, 3), (10.0, 6, 0)])
+def test_a_replay_that_solves_nothing_exits_with_3_and_prints_the_reason(
+    apart_s: float, pictures: int, exit_code: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, out = replayed(simulated(apart(apart_s, pictures)), capsys)
+    assert code == exit_code
+    assert [words in out for words in ("nothing solved", "too short", "what to do")] == [exit_code == 3] * 3

@@ -43,8 +43,7 @@ class ZoomFlight(SampledFlight):
     def times_at(self, moment_s: Array) -> Array:
         """Magnifications."""
         at, times = np.array(self.spec.profile).T
-        out: Array = np.exp(np.interp(moment_s, at, np.log(times)))
-        return out
+        return np.exp(np.interp(moment_s, at, np.log(times)))
 
     def _cameras(self, R_body_cam: Array) -> list[Camera]:
         grown = self.times_at(self.times_s).tolist()

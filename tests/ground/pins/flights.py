@@ -76,7 +76,6 @@ def sightings(
         fix = locator.locate(world.clicks_px[0])
         assert isinstance(fix, Fix)
         parts = locator.error_parts(world.clicks_px[0])
-        assert parts is not None
         error = world.error(0, fix) + parts.by_pixel_m @ rng.normal(0.0, pointing_px, 2)
         click = PinClick.of(world.feature_set, fix, world.clicks_px[0], locator=locator, clicked_unix_ns=START_NS)
         lat, lon, height = (float(v) for v in ORIGIN.to_geodetic(targets_enu_m[k] + error))

@@ -86,7 +86,7 @@ def test_what_one_server_adds_edits_and_deletes_the_other_has_too(ann: PinStore,
         assert eventually(lambda: len(bob.pins()) == 1) and same(ann, bob)
         (received,) = bob.pins()
         assert received.clicks[0].errors is not None  # fused and tied as where it was clicked
-        np.testing.assert_array_equal(received.clicks[0].errors.common_cov, pin.clicks[0].errors.common_cov)  # type: ignore[union-attr]
+        np.testing.assert_array_equal(received.clicks[0].errors.common_cov, pin.clicks[0].errors.common_cov)
         bob.edit(pin.id, who="bob", name="red tent")
         bob.add_click(pin.id, clicked(2), who="bob")
         assert eventually(lambda: len(ann.pin(pin.id).clicks) == 2) and ann.pin(pin.id).name == "red tent"

@@ -114,7 +114,7 @@ def test_a_click_that_is_measured_later_is_as_if_it_had_been_at_once(path: Path 
         store.add_click(pin.id, clicked(2), who="bob")
         measured = dataclasses.replace(first, method="measured", above_ground_m=6.1, sigma_above_ground_m=0.4)
         found = store.measure(pin.id, measured)
-        assert found is not None and found.modified_unix_ns > store.pin(pin.id).created_unix_ns
+        assert found.modified_unix_ns > store.pin(pin.id).created_unix_ns
         assert (found.modified_by, found.clicks[0].method, len(found.clicks)) == ("bob", "measured", 2)
         assert [store.undo(), store.undo(), store.undo(), store.undo()][:3] == [
             "pin 1 got a click", "pin 1 edited", "pin 1 added",
@@ -270,13 +270,13 @@ def test_ties_are_kept_judged_undone(path: Path | str) -> None:
         assert store.ties() == []
         tie = store.add_tie(tied(clicks[1], LANDMARK, rng))
         after = places.place(pin)
-        assert after.ce90_m < 0.9 * before.ce90_m  # type: ignore[union-attr,operator]
+        assert after.ce90_m < 0.9 * before.ce90_m
         assert store.undo() is not None
-        assert places.place(pin).ce90_m == before.ce90_m  # type: ignore[union-attr]
+        assert places.place(pin).ce90_m == before.ce90_m
         store.redo()
     with PinStore(path) as store:
         assert [t.id for t in store.ties()] == [tie.id]
-        assert Places(store).place(store.pins()[0]).ce90_m == after.ce90_m  # type: ignore[union-attr]
+        assert Places(store).place(store.pins()[0]).ce90_m == after.ce90_m
         store.delete_tie(tie.id)
         assert store.ties() == []
 
@@ -373,7 +373,7 @@ def test_a_click_that_lies_is_refused(where: tuple[str, ...], value: object) -> 
 def test_errors_that_lie_are_refused(change: dict[str, object]) -> None:
     errors = clicked().errors
     assert errors is not None
-    lying = dataclasses.replace(errors, **change)  # type: ignore[arg-type]
+    lying = dataclasses.replace(errors, **change)
     with pytest.raises(InputError, match="errors"):
         ClickErrors.from_dict(lying.to_dict())
 

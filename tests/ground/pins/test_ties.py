@@ -38,7 +38,6 @@ def test_after_a_tie_the_ellipse_still_holds_ninety_percent_and_is_smaller() -> 
         assert judge(tie, []).is_accepted
         for k, hits in held.items():
             before, after = fuse([clicks[k]]), fuse([clicks[k]], [tie])
-            assert isinstance(before, Place) and isinstance(after, Place)
             assert before.ce90_m is not None and after.ce90_m is not None
             assert (before.tied, after.tied) == (0, 1)
             hits.append(inside(after))
@@ -64,7 +63,6 @@ def test_several_ties_are_adjusted_together_and_beat_one() -> None:
         ties = [tied(c, p, rng) for c, p in zip(clicks, places, strict=False)]
         assert all(judge(tie, ties[:k]).is_accepted for k, tie in enumerate(ties))
         single, together = fuse([clicks[4]], ties[:1]), fuse([clicks[4]], ties)
-        assert isinstance(single, Place) and isinstance(together, Place)
         assert single.ce90_m is not None and together.ce90_m is not None
         one_m.append(single.ce90_m)
         all_m.append(together.ce90_m)
@@ -100,10 +98,10 @@ def test_a_tie_is_judged_by_the_ties_before_it() -> None:
     clicks = sightings(rng, np.array([0.0, 1.0]), np.array([LANDMARK, TARGET]))
     first = tied(clicks[0], LANDMARK, None)
     found = fuse([clicks[1]], [first])
-    assert isinstance(found, Place) and found.height_ellipsoid_m is not None
+    assert found.height_ellipsoid_m is not None
     here = np.asarray(ORIGIN.to_enu(found.lat_deg, found.lon_deg, found.height_ellipsoid_m))
     alone = fuse([clicks[1]])
-    assert isinstance(alone, Place) and alone.height_ellipsoid_m is not None
+    assert alone.height_ellipsoid_m is not None
     untied = np.asarray(ORIGIN.to_enu(alone.lat_deg, alone.lon_deg, alone.height_ellipsoid_m))
     away = (untied - here) * [1.0, 1.0, 0.0]
     away *= 12.0 / np.linalg.norm(away)
@@ -119,7 +117,6 @@ def test_a_tie_says_nothing_of_other_sessions_and_vehicles() -> None:
     tie = tied(clicks[0], LANDMARK, rng)
     for other in (dataclasses.replace(clicks[1], vehicle="other"), dataclasses.replace(clicks[1], session=8)):
         before, after = fuse([other]), fuse([other], [tie])
-        assert isinstance(before, Place) and isinstance(after, Place)
         assert after.lat_deg == before.lat_deg and after.tied == 0
 
 
@@ -130,8 +127,6 @@ def test_a_tie_without_a_height_leaves_the_height_and_moves_the_place() -> None:
     assert judge(tie, []).freedom == 2
     place = fuse([clicks[1]], [tie])
     full = fuse([clicks[1]], [tied(clicks[0], LANDMARK, rng)])
-    assert isinstance(place, Place) and isinstance(full, Place)
-    assert place.sigma_height_m is not None and full.sigma_height_m is not None
     assert full.sigma_height_m < place.sigma_height_m
 
 
@@ -144,6 +139,6 @@ def test_a_tie_without_a_height_leaves_the_height_and_moves_the_place() -> None:
 )  # fmt: skip
 def test_a_tie_that_makes_no_sense_is_refused(change: dict[str, object]) -> None:
     (click,) = sightings(np.random.default_rng(18), np.zeros(1), LANDMARK[None])
-    tie = dataclasses.replace(tied(click, LANDMARK, None), **change)  # type: ignore[arg-type]
+    tie = dataclasses.replace(tied(click, LANDMARK, None), **change)
     with pytest.raises(InputError):
         Tie.from_dict(tie.to_dict())

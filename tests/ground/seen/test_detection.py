@@ -42,12 +42,12 @@ def searched(
         seen.add(s)
     shown = coverage(seen)
     assert shown is not None
-    return shown, detection(seen.looks(), shown, reports, **options)  # type: ignore[arg-type]
+    return shown, detection(seen.looks(), shown, reports, **options)
 
 
 def machine(shares: Sequence[float | None], at_s: Sequence[float] | None = None, **about: object) -> list[float]:
     """Stated, lowest, highest at PLACE after looks that would show a person with these probabilities."""
-    sets = [level_set(k, at_s=None if at_s is None else at_s[k], **about) for k in range(len(shares))]  # type: ignore[arg-type]
+    sets = [level_set(k, at_s=None if at_s is None else at_s[k], **about) for k in range(len(shares))]
     shown, by = searched(sets, [report_of(s, share) for s, share in zip(sets, shares, strict=True)])
     assert by.machine is not None
     row, column = shown.cells.at(PLACE.lat_deg, PLACE.lon_deg)
@@ -112,7 +112,7 @@ def test_no_dependence_between_looks_undercuts_the_lowest(shares: list[float]) -
 def test_another_aircraft_and_a_second_camera_are_no_looks_of_the_same() -> None:
     sets = [level_set(k, vehicle=f"uav-{k}") for k in range(3)]
     _, by = searched(sets, [report_of(s, 1.0) for s in sets])
-    assert by.machine is not None and by.machine.max() == 0.0
+    assert by.machine.max() == 0.0
     same = [level_set(k) for k in range(3)]
     _, by = searched(same, [report_of(s, 1.0, late_ns=5) for s in same])
     assert by.machine is None and (by.searched, by.strangers) == (0, 3)
@@ -134,7 +134,7 @@ def test_an_operator_needs_time_and_trees_hide_from_both() -> None:
     def sector(**options: object) -> tuple[float, float]:
         shown, by = searched(sets, reports, **options)
         found = sector_detection("4", [[ring()]], shown, by, 0.5)
-        assert found.machine is not None and found.area_m2 == pytest.approx(900.0, rel=0.1)
+        assert found.area_m2 == pytest.approx(900.0, rel=0.1)
         return found.machine[0], found.operator[0]
 
     hasty, thorough = sector(look_s=0.2), sector(look_s=60.0)

@@ -40,13 +40,12 @@ def test_a_cell_knows_how_often_when_and_how_finely_it_was_seen() -> None:
     for frame, height in ((10, 150.0), (14, 110.0), (12, 130.0)):
         assert seen.add(level_set(frame, height_m=height))
     cell = seen.cell(*MIDDLE)
-    assert cell is not None
     assert (cell["count"], cell["first_s"], cell["last_s"]) == (3, START_S + 10, START_S + 14)
     assert cell["gsd_m"] == pytest.approx(110.0 / CAMERA.fx_px, rel=1e-3)
     assert (cell["frame"], seen.sources[cell["by"]]) == (14, ("uav", 1))
     assert [shown.frame for shown in seen.showing(*MIDDLE)] == [10, 12, 14]
     finest = seen.finest(cell)
-    assert finest is not None and (finest.frame, finest.capture_unix_ns) == (14, CAPTURE_NS + 14 * 10**9)
+    assert (finest.frame, finest.capture_unix_ns) == (14, CAPTURE_NS + 14 * 10**9)
     assert seen.showing(*MIDDLE)[1].gsd_m == pytest.approx(130.0 / CAMERA.fx_px, rel=1e-3)
     lat, lon, _ = PLACE.to_geodetic((500.0, 0.0, 0.0))
     assert seen.cell(float(lat), float(lon)) is None and seen.showing(float(lat), float(lon)) == []
@@ -146,7 +145,7 @@ def test_pictures_of_several_aircraft_and_sessions_are_distinguished() -> None:
     for vehicle, session in (("a", 1), ("b", 1), ("a", 2)):
         seen.add(level_set(7, vehicle=vehicle, session=session))
     cell = seen.cell(*MIDDLE)
-    assert cell is not None and cell["count"] == 3
+    assert cell["count"] == 3
     assert {(s.vehicle, s.session) for s in seen.showing(*MIDDLE)} == {("a", 1), ("b", 1), ("a", 2)}
 
 

@@ -35,7 +35,7 @@ def place_at(east_m: float, north_m: float, cov: Array, height_m: float = 20.0) 
 def spot_at(east_m: float, north_m: float, cov: Array, **more: object) -> Spot:
     """A person's."""
     words = {"contrast": 12.0, "temperature_c": 31.0, "above_ground_k": 8.0, "area_m2": 0.4, "sigma_area_m2": 0.1}
-    return Spot(320.0, 240.0, status=Status.OK, place=place_at(east_m, north_m, cov), **{**words, **more})  # type: ignore[arg-type]
+    return Spot(320.0, 240.0, status=Status.OK, place=place_at(east_m, north_m, cov), **{**words, **more})
 
 
 @dataclass(eq=False)

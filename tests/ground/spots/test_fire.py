@@ -31,7 +31,7 @@ def circle(radius_m: float, points: int = 40) -> Ring:
 
 
 def burning(ring: Ring, east_m: float = 0.0, north_m: float = 0.0, **more: object) -> Spot:
-    return replace(spot_at(east_m, north_m, COV, temperature_c=300.0, area_m2=500.0), outline_en_m=ring, **more)  # type: ignore[arg-type]
+    return replace(spot_at(east_m, north_m, COV, temperature_c=300.0, area_m2=500.0), outline_en_m=ring, **more)
 
 
 def report(k: int, at_s: float, *spots: Spot, session: int = 1) -> SpotReport:
@@ -65,11 +65,10 @@ def test_a_fire_is_as_large_as_it_is_and_its_edge_is_between_surely_and_perhaps(
 def test_the_rate_of_spread_has_its_sigma_and_a_fire_that_stands_spreads_by_no_more_than_that() -> None:
     for seed in range(3):
         fire, _ = spreading(seed, 0.1)
-        assert fire.spread_m_s is not None and fire.sigma_spread_m_s is not None
+        assert fire.spread_m_s is not None
         assert 0.005 < fire.sigma_spread_m_s < 0.03
         assert fire.spread_m_s == pytest.approx(0.1, abs=3.0 * fire.sigma_spread_m_s)
         still, _ = spreading(seed, 0.0)
-        assert still.spread_m_s is not None and still.sigma_spread_m_s is not None
         assert still.spread_m_s < 3.0 * still.sigma_spread_m_s
 
 
@@ -77,7 +76,7 @@ def test_one_outline_is_widened_and_narrowed_by_its_ellipse() -> None:
     ground = FireGround()
     ground.add(report(0, 0.0, burning(circle(20.0, 200))))
     fire = ground.fire(5.0)
-    assert fire is not None and fire.spread_m_s is None
+    assert fire.spread_m_s is None
     a, b = (math.sqrt(4.605) * sigma for sigma in (1.5, 1.0))
     # The area of a circle's sum with an ellipse: both areas, and the circle's radius times the ellipse's perimeter.
     around = math.pi * (3.0 * (a + b) - math.sqrt((3.0 * a + b) * (a + 3.0 * b)))
@@ -89,7 +88,7 @@ def test_of_a_line_that_burns_nothing_is_sure_where_it_is_thinner_than_its_error
     ground = FireGround()
     ground.add(report(0, 0.0, burning(((-30.0, -0.5), (30.0, -0.5), (30.0, 0.5), (-30.0, 0.5)))))
     fire = ground.fire(5.0)
-    assert fire is not None and fire.surely.area_m2 == 0.0 and fire.surely.polygons == []
+    assert fire.surely.area_m2 == 0.0 and fire.surely.polygons == []
     assert fire.burned.area_m2 == pytest.approx(60.0, rel=0.25) and fire.perhaps.area_m2 > 200.0
 
 
@@ -104,7 +103,6 @@ def test_a_hole_that_does_not_burn_stays_one_and_two_fires_are_two_polygons() ->
     spots = [burning(((w, s), (e, s), (e, n), (w, n))) for w, s, e, n in sides]
     ground.add(report(0, 0.0, *spots, burning(circle(5.0), 60.0, 0.0)))
     fire = ground.fire(5.0)
-    assert fire is not None
     assert sorted(len(polygon) for polygon in fire.burned.polygons) == [1, 2]
     assert fire.burned.area_m2 == pytest.approx(1600.0 - 576.0 + math.pi * 25.0, rel=0.05)
 
@@ -116,7 +114,7 @@ def test_only_what_is_hot_enough_large_enough_and_of_the_last_minutes_burns() ->
     assert ground.fire(5.0) is not None  # the newest that burned
     ground.add(report(2, 410.0, burning(circle(10.0))))
     fire = ground.fire(5.0)
-    assert fire is not None and fire.pictures == 1 and fire.first_unix_ns == START_NS + 410 * 10**9
+    assert fire.pictures == 1 and fire.first_unix_ns == START_NS + 410 * 10**9
     unknown = FireGround()
     small = replace(burning(circle(0.5)), temperature_c=None, above_ground_k=None, area_m2=0.8)
     unknown.add(report(0, 0.0, small, replace(small, area_m2=50.0, contrast=-9.0)))
@@ -130,7 +128,7 @@ def test_of_very_many_pictures_some_are_taken_evenly_and_with_the_newest() -> No
     for k in range(3 * MOST_PICTURES):
         ground.add(report(k, float(k), burning(circle(3.0), 0.05 * k)))
     fire = ground.fire(60.0)
-    assert fire is not None and MOST_PICTURES / 2 <= fire.pictures <= MOST_PICTURES
+    assert MOST_PICTURES / 2 <= fire.pictures <= MOST_PICTURES
     assert fire.last_unix_ns == START_NS + (3 * MOST_PICTURES - 1) * 10**9 and fire.first_unix_ns < START_NS + 4 * 10**9
 
 

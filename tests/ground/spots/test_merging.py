@@ -113,7 +113,7 @@ def test_a_walker_is_one_thing_with_speed_and_course() -> None:
     for seed in range(6):
         (found,) = merged(walking, 21, flight(seed))
         course = found.course
-        assert course is not None and course.is_moving and course.course_deg is not None
+        assert course.is_moving and course.course_deg is not None
         assert course.speed_m_s == pytest.approx(1.4, abs=0.5) and 0.05 < course.sigma_speed_m_s < 0.5
         assert course.course_deg == pytest.approx(90.0, abs=20.0) and 1.0 < (course.sigma_course_deg or 0.0) < 20.0
         assert np.hypot(*offset_m(found.place, (14.0, 0.0))) < 6.0  # it is where it is, not in the middle of its way
@@ -124,12 +124,12 @@ def test_one_that_stands_is_at_rest_and_nothing_is_reported_of_a_speed_at_once()
     (early,) = merged(standing((0.0, 0.0)), 4, flight(2))
     assert early.course is None and "speed not known" in early.to_text()
     (later,) = merged(standing((0.0, 0.0)), 40, flight(2))
-    assert later.course is not None and not later.course.is_moving and "at rest" in later.to_text()
+    assert not later.course.is_moving and "at rest" in later.to_text()
 
 
 def test_a_walker_who_stops_is_at_rest_where_he_stopped() -> None:
     (found,) = merged(lambda t: [(1.4 * min(t, 15.0), 0.0)], 90, flight(5))
-    assert found.course is not None and not found.course.is_moving
+    assert not found.course.is_moving
     assert np.hypot(*offset_m(found.place, (21.0, 0.0))) < 6.0
 
 
