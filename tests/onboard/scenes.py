@@ -76,8 +76,7 @@ class Ground:
 
     def height_m(self, xy: Array) -> Array:
         """Of ENU points (..., 2)."""
-        out: Array = xy @ self.slope + self._amplitude * np.sin(xy @ self._wave.T + self._phase).sum(axis=-1)
-        return out
+        return xy @ self.slope + self._amplitude * np.sin(xy @ self._wave.T + self._phase).sum(axis=-1)
 
     def meet(self, centre: Array, rays_enu: Array) -> Array:
         """Where rays (N, 3) from centres (3,) or (N, 3) meet the ground, (N, 3); for ground seen from well above."""
@@ -106,8 +105,7 @@ class Path:
 
     def velocity_enu_m_s(self, t: float) -> Array:
         """(3,)."""
-        out: Array = self._course * self._spec.speed_m_s + [0.0, 0.0, self._spec.climb_m_s + 0.3 * np.cos(0.3 * t)]
-        return out
+        return self._course * self._spec.speed_m_s + [0.0, 0.0, self._spec.climb_m_s + 0.3 * np.cos(0.3 * t)]
 
     def R_enu_body(self, t: float) -> Array:
         """(3, 3)."""
@@ -115,14 +113,12 @@ class Path:
             np.radians(self._spec.wobble_deg) * np.sqrt(2.0 / 3.0) * np.sin(self._rate * t + self._phase).sum(axis=1)
         )
         yaw = np.radians(self._spec.heading_deg + self._spec.crab_deg) + shake[2]
-        out: Array = R_ENU_NED @ matrix_from_euler(shake[0], shake[1], yaw)
-        return out
+        return R_ENU_NED @ matrix_from_euler(shake[0], shake[1], yaw)
 
     def body_rate_rad_s(self, t: float) -> Array:
         """(3,), body axes."""
         h = 0.005
-        out: Array = log_so3(self.R_enu_body(t - h).T @ self.R_enu_body(t + h)) / (2.0 * h)
-        return out
+        return log_so3(self.R_enu_body(t - h).T @ self.R_enu_body(t + h)) / (2.0 * h)
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,8 +162,7 @@ def gauss_markov(
     """A sample (N,) of white plus Gauss-Markov error: the model of residuals (5.5)."""
     lag = np.abs(stamps_s[:, None] - stamps_s[None, :])
     covariance = sigma**2 * np.exp(-lag / time_constant_s) + (white**2 + 1e-18) * np.eye(len(stamps_s))
-    out: Array = np.linalg.cholesky(covariance) @ rng.standard_normal(len(stamps_s))
-    return out
+    return np.linalg.cholesky(covariance) @ rng.standard_normal(len(stamps_s))
 
 
 def draw(

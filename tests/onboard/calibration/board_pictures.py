@@ -30,8 +30,7 @@ def _rays(camera: Camera) -> Array:
     offsets = (np.arange(_FINE) + 0.5) / _FINE - 0.5
     u = (np.arange(width)[:, None] + offsets).ravel()
     v = (np.arange(height)[:, None] + offsets).ravel()
-    rays: Array = camera.unproject(np.stack(np.meshgrid(u, v), axis=-1))[0]
-    return rays
+    return camera.unproject(np.stack(np.meshgrid(u, v), axis=-1))[0]
 
 
 class Photographer:

@@ -67,7 +67,6 @@ class World:
 
     def wait(self, timeout: float | None = None) -> bool:
         """`threading.Event.wait` of the stop, and everybody's clock."""
-        assert timeout is not None
         until_ns = self.now_ns + round(timeout * 1e9)
         while due := [event for event in self.events if event[0] <= (until_ns - self.begun_ns) / 1e9]:
             event = min(due, key=lambda one: one[0])

@@ -115,7 +115,6 @@ def test_keys_state_and_recordings_are_closed_to_our_helper(device: str) -> None
     unit = {"STATE_DIRECTORY": "/var/lib/pointclick", "CONFIGURATION_DIRECTORY": "/etc/pointclick"}
     closed = private_paths(config, unit)
     launch = helper_launch(CameraConfig.model_validate({"device": device}), (640, 480), closed)
-    assert launch is not None
     at = launch.command.index("--")
     assert launch.command[:3] == (SYSTEM_PYTHON, "-I", str(BOX))
     assert launch.command[at:] == ("--", SYSTEM_PYTHON, "-I", str(HELPER))
@@ -165,4 +164,4 @@ def test_rules_are_known_for_both_machines_and_for_no_other() -> None:
 )
 def test_what_may_come_from_the_network_keeps_it(device: str, is_open: bool) -> None:
     launch = helper_launch(CameraConfig(device=device), (640, 480))
-    assert launch is not None and ("--no-network" not in launch.command) is is_open
+    assert ("--no-network" not in launch.command) is is_open

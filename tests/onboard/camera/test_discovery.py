@@ -63,7 +63,7 @@ def test_the_same_device_by_two_paths_is_one(tmp_path: Path) -> None:
     assert found is not None and Path(found).name == "video2"
 
 
-def test_no_camera_is_one_line_and_exit_1(capsys, monkeypatch) -> None:  # type: ignore[no-untyped-def]
+def test_no_camera_is_one_line_and_exit_1(capsys, monkeypatch) -> None:
     monkeypatch.setattr("onboard.commands.cameras.device_paths", lambda: [])
     monkeypatch.setattr("onboard.commands.cameras.libcamera_names", lambda: ([], ""))
     monkeypatch.setattr("onboard.commands.cameras.decoders_text", lambda: "H264 by avdec_h264")
@@ -78,7 +78,7 @@ def test_no_camera_is_one_line_and_exit_1(capsys, monkeypatch) -> None:  # type:
     assert capsys.readouterr() == ("streams: H264 by avdec_h264\n", f"{why}{none}\n")
 
 
-def test_each_camera_comes_with_the_line_to_write(capsys, monkeypatch) -> None:  # type: ignore[no-untyped-def]
+def test_each_camera_comes_with_the_line_to_write(capsys, monkeypatch) -> None:
     monkeypatch.setattr("onboard.commands.cameras.device_paths", lambda: [])
     monkeypatch.setattr("onboard.commands.cameras.libcamera_names", lambda: (["/base/soc/i2c0mux/imx219@10"], ""))
     monkeypatch.setattr("onboard.commands.cameras.decoders_text", lambda: "H264 by avdec_h264")

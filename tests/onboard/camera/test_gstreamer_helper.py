@@ -224,7 +224,7 @@ def test_any_pipeline_up_to_raw_video_and_another_size_in_mid_stream() -> None:
     with running(f"gst:{pipeline}", size_px=SIZE_PX) as camera:
         camera.wait_for_pictures(10, START_S)
         image = camera.frames[-1][1].image
-        assert image is not None and image.shape == (240, 320) and image.std() > 20.0
+        assert image.shape == (240, 320) and image.std() > 20.0
         camera.wait_for(State.DEGRADED, "pictures are 160x120, the camera file is for 320x240", START_S)
         camera.wait_for(State.LOST, "the stream has ended", START_S)
 
@@ -254,7 +254,7 @@ def test_a_pipeline_with_a_sink_of_its_own_is_refused_with_what_to_leave_out(end
 @pytest.mark.usefixtures("gstreamer")
 def test_a_stream_is_opened_by_its_address(tmp_path: Path, pictures: list[np.ndarray]) -> None:
     """By http a file of a camera's server; udp:// and srt:// are opened by the same element."""
-    writer = cv2.VideoWriter(str(tmp_path / "clip.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 10.0, SIZE_PX, False)  # type: ignore[attr-defined]
+    writer = cv2.VideoWriter(str(tmp_path / "clip.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 10.0, SIZE_PX, False)
     for k in range(40):
         writer.write(pictures[k % len(pictures)])
     writer.release()
@@ -268,7 +268,7 @@ def test_a_stream_is_opened_by_its_address(tmp_path: Path, pictures: list[np.nda
             server.shutdown()
     for device in ("udp://0.0.0.0:5600", "srt://127.0.0.1:7001"):
         launch = helper_launch(CameraConfig(device=device), SIZE_PX)
-        assert launch is not None and f'uri=\\"{device}\\"' in launch.stdin.decode()
+        assert f'uri=\\"{device}\\"' in launch.stdin.decode()
 
 
 @pytest.mark.usefixtures("gstreamer")

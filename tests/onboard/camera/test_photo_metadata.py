@@ -84,7 +84,7 @@ def test_a_barometer_s_height_may_be_off_by_the_day_s_pressure(tmp_path: Path) -
     found = photo(tmp_path, 'drone-dji:AbsoluteAltitude="-122.80" drone-dji:RelativeAltitude="+6.00"')
     assert found.height_is_barometric and not found.height_is_ellipsoidal
     datum_m = datum_sigma_m(found, None)
-    assert datum_m is not None and 130.0 < 1.645 * datum_m < 200.0
+    assert 130.0 < 1.645 * datum_m < 200.0
 
 
 def test_a_receiver_s_height_in_plain_exif_is_taken_as_before(tmp_path: Path) -> None:
@@ -108,7 +108,7 @@ def test_a_cropped_picture_has_the_focal_length_of_the_whole(tmp_path: Path, sha
     details = {ExifTags.Base.FocalLengthIn35mmFilm: 24}
     full = photo(tmp_path, model=model, size=(whole[0] // 4, whole[1] // 4), details=details).focal
     cropped = photo(tmp_path, model=model, size=(part[0] // 4, part[1] // 4), details=details).focal
-    assert full is not None and cropped is not None
+    assert cropped is not None
     assert full.fx_px == pytest.approx(24.0 / 43.2666 * math.hypot(*whole) / 4, rel=1e-3)
     assert cropped.fx_px == pytest.approx(full.fx_px, rel=5e-3)
     assert 0.02 < full.sigma_px / full.fx_px < 0.04
@@ -119,7 +119,7 @@ def test_a_picture_of_another_maker_in_its_sensor_s_shape_is_taken_as_before(tmp
     for size in ((400, 300), (600, 400)):
         details = {ExifTags.Base.FocalLengthIn35mmFilm: 30}
         focal = photo(tmp_path, make="Canon", model="EOS", size=size, details=details).focal
-        assert focal is not None and focal.fx_px == pytest.approx(30.0 / 43.2666 * math.hypot(*size))
+        assert focal.fx_px == pytest.approx(30.0 / 43.2666 * math.hypot(*size))
 
 
 # ---------------------------------------------------------------- other makers
@@ -147,7 +147,7 @@ def test_a_micasense_s_lens_accuracy_and_datum_are_read(tmp_path: Path) -> None:
         tmp_path, elements=RED_EDGE, make="MicaSense", model="RedEdge", size=(1280, 960), details=RED_EDGE_PLANE
     )
     focal = found.focal
-    assert focal is not None and focal.source == "PerspectiveFocalLength"
+    assert focal.source == "PerspectiveFocalLength"
     assert focal.fx_px == pytest.approx(5.42 * 266.667, rel=1e-5) and focal.sigma_px < 0.005 * focal.fx_px
     assert focal.centre_px == pytest.approx((639.5, 479.5), abs=0.01)
     assert focal.distortion == (-0.10, 0.14, 0.001, -0.002, -0.03)  # k1, k2, p1, p2, k3
@@ -207,14 +207,14 @@ def test_a_skydio_s_structures_calibration_and_ellipsoidal_height_are_read(tmp_p
     assert found.gimbal_deg == (0.5, -89.0, 33.0) and found.height_is_ellipsoidal
     assert found.sigma_horizontal_m == 0.9
     focal = found.focal
-    assert focal is not None and (focal.fx_px, focal.fy_px) == (2376.5, 2377.5)
+    assert (focal.fx_px, focal.fy_px) == (2376.5, 2377.5)
     assert focal.centre_px == (2030.5, 1519.5) and focal.distortion == (0.13, -0.24, 0.0, 0.0, 0.104)
 
 
 def test_a_skydio_s_digital_zoom_is_in_exif(tmp_path: Path) -> None:
     details = {ExifTags.Base.DigitalZoomRatio: IFDRational(2)}
     focal = photo(tmp_path, elements=SKYDIO, make="Skydio", model="2", size=(4056, 3040), details=details).focal
-    assert focal is not None and focal.fx_px == 2 * 2376.5 and focal.centre_px == pytest.approx((2033.5, 1519.5))
+    assert focal.fx_px == 2 * 2376.5 and focal.centre_px == pytest.approx((2033.5, 1519.5))
 
 
 @pytest.mark.parametrize("line", ["15500", "15.5", "0.0155", "0.0000155"])

@@ -78,7 +78,7 @@ def test_pictures_ahead_come_at_their_own_stamps_and_those_gone_by_do_not(tmp_pa
     for arrival_ns, frame in out:
         assert 0 <= arrival_ns - frame.stamp_ns < 1e6
         assert frame.stamp_ns / 1e9 == pytest.approx(begin_s + 0.1 * frame.index, abs=1e-3)
-        assert frame.image is not None and frame.image[0, 0] == 10 * frame.index
+        assert frame.image[0, 0] == 10 * frame.index
 
 
 def test_what_cannot_be_played_is_refused_at_once(tmp_path: Path) -> None:

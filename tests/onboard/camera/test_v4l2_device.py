@@ -223,7 +223,6 @@ def test_a_picture_comes_with_its_stamp_and_its_buffer_goes_back(driver: Driver,
         assert driver.is_streaming and driver.queued == [0, 1, 2]
         driver.filled = [1]
         buffer = device.take(0.1)
-        assert buffer is not None
         assert bytes(buffer.data) == b"\x01" * (100 if driver.kind == SINGLE else 96)
         assert (buffer.stamp_ns, buffer.sequence, buffer.flags) == (1_700_000_000_123_456_000, 42, 0x2000)
         assert sorted(driver.queued) == [0, 1, 2]

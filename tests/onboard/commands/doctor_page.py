@@ -46,14 +46,14 @@ class Case:
 
 def judged(**changed: object) -> Report:
     """As the daemon judges other inputs."""
-    return report_of(replace(WELL_INPUTS, **changed))  # type: ignore[arg-type]
+    return report_of(replace(WELL_INPUTS, **changed))
 
 
 def figures(source: str, **changed: float | None) -> Report:
     """The report with figures of a source changed, or without them."""
     status: SourceStatus = getattr(WELL, source)
     kept = {name: value for name, value in (status.figures | changed).items() if value is not None}
-    return replace(WELL, **{source: replace(status, figures=kept)})  # type: ignore[arg-type]
+    return replace(WELL, **{source: replace(status, figures=kept)})
 
 
 def estimated(name: str, unit: str, value: tuple[float, ...], sigma: tuple[float, ...]) -> Report:

@@ -104,7 +104,6 @@ def clicked(data: Path, folder: Path, ahead_s: float, capsys: pytest.CaptureFixt
     out: Clicks = {}
     for frame, name in enumerate(names):
         found = recording.by_frame(vehicle, frame)
-        assert found is not None
         locator, size = Locator(found), np.array(found.camera.size_px) - 1
         uv = np.random.default_rng(frame).uniform(0.05, 0.95, (CLICKS, 2)) * size
         for k, (pixel, ray) in enumerate(zip(uv, found.camera.unproject(uv)[0], strict=True)):

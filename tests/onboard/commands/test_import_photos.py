@@ -372,7 +372,7 @@ def test_what_is_stated_of_utc_is_worth_what_the_log_s_clock_is() -> None:
     stated, log = Stated(12.0, 0.3, "the GPS time in EXIF"), TelemetryLog([], [])
     assert against_log(stated, log, is_given=False) == stated
     by_a_phone = against_log(stated, replace(log, utc_sigma_s=0.4), is_given=False)
-    assert by_a_phone is not None and by_a_phone.sigma_s == pytest.approx(0.5)
+    assert by_a_phone.sigma_s == pytest.approx(0.5)
     local = replace(log, utc_sigma_s=None)
     assert against_log(stated, local, is_given=False) is None and against_log(stated, local, is_given=True) == stated
 
@@ -401,17 +401,17 @@ def photo(folder: Path, attributes: str = "", details: dict[str, int] | None = N
 def test_dewarping_data_are_a_calibration(tmp_path: Path) -> None:
     data = 'd:DewarpData="2018-09-24;300.5,301.5,2.0,-1.5,-0.26,0.11,0.0001,-0.0002,-0.03" d:DewarpFlag="0"'
     focal = read_photo(photo(tmp_path, data)).focal
-    assert focal is not None and (focal.fx_px, focal.fy_px) == (300.5, 301.5)
+    assert (focal.fx_px, focal.fy_px) == (300.5, 301.5)
     assert focal.centre_px == (199.5 + 2.0, 149.5 - 1.5) and focal.sigma_px < 2.0
     assert focal.distortion == (-0.26, 0.11, 0.0001, -0.0002, -0.03)
     straight = read_photo(photo(tmp_path, data.replace('DewarpFlag="0"', 'DewarpFlag="1"'))).focal
-    assert straight is not None and straight.distortion == (0.0, 0.0, 0.0, 0.0, 0.0)
+    assert straight.distortion == (0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def test_dewarping_data_whose_pixels_would_be_twice_as_wide_as_high_are_none(tmp_path: Path) -> None:
     attributes = 'd:DewarpData="2018-09-24;300.5,588.0,2.0,-1.5,0,0,0,0,0"'
     focal = read_photo(photo(tmp_path, attributes, details={"FocalLengthIn35mmFilm": 24})).focal
-    assert focal is not None and focal.source.startswith("FocalLengthIn35mmFilm")
+    assert focal.source.startswith("FocalLengthIn35mmFilm")
 
 
 DEWARP = 'd:DewarpData="2018-09-24;3666.7,3666.7,20.0,-15.0,-0.26,0.11,0.0001,-0.0002,-0.03"'
@@ -422,21 +422,21 @@ def test_a_picture_that_was_made_smaller_has_not_the_lens_of_its_full_size(tmp_p
     """A calibration of 5472 px in a file of 400 px became "6 deg wide" at 0.3 %."""
     details = {"FocalLengthIn35mmFilm": 24, "ExifImageWidth": 5472, "ExifImageHeight": 4104}
     scaled = read_photo(photo(tmp_path, attributes, details=details)).focal
-    assert scaled is not None and scaled.fx_px == pytest.approx(3666.7 * 400 / 5472)
+    assert scaled.fx_px == pytest.approx(3666.7 * 400 / 5472)
     if attributes == DEWARP:
         assert scaled.centre_px == pytest.approx((199.5 + 20.0 * 400 / 5472, 149.5 - 15.0 * 400 / 5472))
         assert scaled.distortion == (-0.26, 0.11, 0.0001, -0.0002, -0.03)
         assert scaled.sigma_px / scaled.fx_px == pytest.approx(0.003)
     # Without the size in EXIF the equivalent shows it, and where that is not stated either, nothing is known.
     by_equivalent = read_photo(photo(tmp_path, attributes)).focal
-    assert by_equivalent is not None and by_equivalent.fx_px == pytest.approx(277.35, abs=0.1)
+    assert by_equivalent.fx_px == pytest.approx(277.35, abs=0.1)
     assert by_equivalent.distortion is None and "another size of picture" in by_equivalent.source
     assert read_photo(photo(tmp_path, attributes, details={})).focal is None
 
 
 def test_an_equivalent_focal_length_counts_along_the_diagonal(tmp_path: Path) -> None:
     focal = read_photo(photo(tmp_path)).focal
-    assert focal is not None and focal.fx_px == pytest.approx(24.0 / 43.2666 * 500.0)
+    assert focal.fx_px == pytest.approx(24.0 / 43.2666 * 500.0)
     assert 0.02 < focal.sigma_px / focal.fx_px < 0.05
 
 
@@ -483,7 +483,7 @@ def test_photographs_without_letters_are_where_the_log_has_them_or_refused(
 
 def test_a_receiver_s_time_in_exif_is_read(shared_data: Path) -> None:
     read = read_photo(shared_data / "people_bring" / "gpstime.jpg")
-    assert read.gps_ns is not None and read.stamp_ns is not None and read.lat_deg == pytest.approx(-33.8667, abs=1e-3)
+    assert read.lat_deg == pytest.approx(-33.8667, abs=1e-3)
     assert (read.gps_ns - read.stamp_ns) / 1e9 == pytest.approx(3 * 3600 + 59 * 60 + 45, abs=1.1)
 
 

@@ -277,7 +277,6 @@ def test_a_value_outside_its_prior_waits_for_a_second_window_that_shares_nothing
     a = alignment()
     assert not told(a, 0.0, 0.45)  # declared: 0.1
     assert a.updates == 0
-    assert a.unconfirmed is not None
     assert list(np.flatnonzero(a.unconfirmed.outside)) == [OFFSET]
     assert not told(a, 5.0, 0.45), "shares pictures with the first"
     assert not told(a, 15.0, 0.45), "shares the attitude's error with the first"

@@ -78,7 +78,6 @@ def profile(
 def test_an_offset_that_is_far_off_is_rejected_and_the_right_one_found(offset_s: float) -> None:
     for seed in range(4):
         found = profile(offset_s, seed=seed)
-        assert found is not None
         assert found.rejects(0.0)
         assert not found.rejects(offset_s)
         assert abs(found.best_s - offset_s) < 1.5 * STEP_S
@@ -90,7 +89,6 @@ def test_the_right_offset_is_never_rejected(noise_deg: float) -> None:
     """Whatever the attitudes' noise, and where the one used is a step off."""
     for seed in range(12):
         found = profile(0.03, seed=seed, noise_deg=noise_deg)
-        assert found is not None
         assert not found.rejects(0.0)
         assert not found.rejects(0.03)
 
@@ -100,7 +98,6 @@ def test_level_flight_and_a_wobble_below_the_noise_show_nothing(noise_deg: float
     for seed in range(4):
         for wobble_deg in (0.0, 0.2 * noise_deg):
             found = profile(-0.3, seed=seed, turns=(), noise_deg=noise_deg, wobble_deg=wobble_deg)
-            assert found is not None
             assert not found.rejects(0.0)
             assert found.is_wide
             assert found.precision < 0.2**-2
@@ -108,7 +105,6 @@ def test_level_flight_and_a_wobble_below_the_noise_show_nothing(noise_deg: float
 
 def test_one_wrong_attitude_changes_nothing() -> None:
     found = profile(-0.3, wrong=1)
-    assert found is not None
     assert abs(found.best_s + 0.3) < 1.5 * STEP_S
     assert found.rejects(0.0)
 
@@ -116,14 +112,12 @@ def test_one_wrong_attitude_changes_nothing() -> None:
 def test_an_offset_beyond_reach_is_not_guessed_at() -> None:
     """The best within reach is at its end, or its neighbours fit as well; nothing is then known to be better."""
     found = profile(1.0)
-    assert found is not None
     assert found.kept_s is None
 
 
 def test_of_an_offset_that_was_not_compared_nothing_is_reported() -> None:
     """What was learned may lie farther from the offset used than the profile reaches."""
     found = profile(0.2, used_s=0.1)
-    assert found is not None
     assert found.rejects(-0.2)
     assert found.rejects(0.55)
     assert not found.rejects(-0.45)
@@ -139,7 +133,6 @@ def test_that_the_offsets_compared_end_adds_nothing(known: tuple[float, float]) 
     """Level flight without noise: every offset fits equally well, whatever was known and wherever the used one lies."""
     for used_s in (0.0, 0.45):
         found = profile(0.45, used_s, turns=(), noise_deg=0.0, known=known)
-        assert found is not None
         assert found.mean_s == pytest.approx(known[0], abs=0.1 * known[1])
         assert found.variance > 0.99 * known[1] ** 2
 
@@ -151,7 +144,6 @@ def test_what_a_profile_knows_is_as_sure_as_it_is_off(sigma_s: float) -> None:
     for seed in range(30):
         right_s = sigma_s * float(np.random.default_rng(seed).standard_normal())
         found = profile(right_s, seed=seed, turns=(), noise_deg=0.5, wobble_deg=0.7, known=(0.0, sigma_s))
-        assert found is not None
         assert 1.0 / found.variance == pytest.approx(sigma_s**-2 + found.precision)
         sigmas.append(np.sqrt(found.variance))
         off.append((found.mean_s - right_s) / sigmas[-1])
@@ -162,7 +154,6 @@ def test_what_a_profile_knows_is_as_sure_as_it_is_off(sigma_s: float) -> None:
 def test_what_was_known_may_lie_far_from_the_offsets_compared() -> None:
     """Those are about the offset used, which is right here; the prior's mean is at their end."""
     found = profile(0.45, 0.45, known=(0.0, 0.29))
-    assert found is not None
     assert abs(found.mean_s - 0.45) < 3.0 * np.sqrt(found.variance) < 0.1
 
 

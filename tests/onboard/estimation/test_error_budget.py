@@ -57,7 +57,7 @@ def flown() -> Flown:
     solve_again = stages.solve_again
 
     def kept(problem: Problem, *rest: object) -> second_solve.Adjusted | None:
-        out = solve_again(problem, *rest)  # type: ignore[arg-type]
+        out = solve_again(problem, *rest)
         if out is not None:
             problems[id(out.solution)] = replace(problem, weight=out.kept / out.own)
         return out
@@ -69,7 +69,7 @@ def flown() -> Flown:
             pipeline.handle(event)
         pipeline.finish()
     solved = pipeline.window.solved
-    assert solved is not None and len(solved.keyframes) == config.solve.keyframes
+    assert len(solved.keyframes) == config.solve.keyframes
     return Flown(problems[id(solved.solution)], solved, [p for p in placed if p.solved is solved])
 
 
@@ -78,8 +78,7 @@ def errors_of(name: str, problem: Problem, rng: np.random.Generator) -> Problem:
 
     def drawn(covariance: Array) -> Array:
         values, vectors = np.linalg.eigh(covariance)
-        out: Array = SMALL * (vectors * np.sqrt(np.maximum(values, 0.0))) @ rng.standard_normal(len(values))
-        return out
+        return SMALL * (vectors * np.sqrt(np.maximum(values, 0.0))) @ rng.standard_normal(len(values))
 
     def by_axis(prior: PositionPrior | VelocityPrior | AttitudePrior, parts: tuple[str, ...], rest: bool) -> Array:
         """(n, 3): the named parts, or what is left of each axis's covariance without them."""
@@ -260,7 +259,7 @@ def test_the_budget_of_a_click_now_is_computed_now_and_then_and_not_of_long_ago(
     assert newest.at(0) is None
     newest(at(0.0))
     first = newest.at(at(0.5).feature_set.capture_unix_ns)
-    assert first is not None and first.percent == click_budget(level).percent
+    assert first.percent == click_budget(level).percent
     assert list(first.percent.values()) == sorted(first.percent.values(), reverse=True)
     newest(at(4.0))
     assert newest.at(at(4.0).feature_set.capture_unix_ns) is first

@@ -248,29 +248,23 @@ def test_the_whitener_whitens_a_gauss_markov_error() -> None:
     assert np.abs(np.cov(samples / np.hypot(white, slow)) - np.eye(5)).max() > 0.5
 
 
-def test_the_time_offset_moves_positions_along_the_velocity() -> None:
-    """Stamps early by 0.1 s at 20 m/s east: the camera was 2 m further east than the GPS said."""
-    layout = Layout(1)
-    velocity = np.array([[20.0, 0.0, 0.0]])
-    prior = PositionPrior(layout, np.zeros((1, 3)), velocity, np.ones((3, 1, 1)), np.zeros(1))
-    R = np.eye(3)[None]
-    early = 0.1 * (np.arange(STATES) == OFFSET)
-    state = State(R, np.array([[2.0, 0.0, 0.0]]), np.zeros((0, 3)), early, np.zeros(3))
-    assert prior.evaluate(state)[0] == pytest.approx([0.0, 0.0, 0.0], abs=1e-12)
-    # A position that was asked for at the offset needs no move any more.
-    asked = PositionPrior(layout, np.array([[2.0, 0.0, 0.0]]), velocity, np.ones((3, 1, 1)), np.array([0.1]))
-    assert asked.evaluate(state)[0] == pytest.approx([0.0, 0.0, 0.0], abs=1e-12)
-
-
-def test_a_delay_of_the_position_moves_it_as_the_time_offset_does_and_that_of_the_velocity_does_not() -> None:
-    """A position 0.1 s older than its stamp at 20 m/s east lies 2 m west of the camera."""
-    velocity = np.array([[20.0, 0.0, 0.0]])
-    prior = PositionPrior(Layout(1), np.zeros((1, 3)), velocity, np.ones((3, 1, 1)), np.zeros(1))
-    late = 0.1 * (np.arange(STATES) == DELAY)
-    base = State(np.eye(3)[None], np.array([[2.0, 0.0, 0.0]]), np.zeros((0, 3)), late, np.zeros(3))
-    assert prior.evaluate(base)[0] == pytest.approx([0.0, 0.0, 0.0], abs=1e-12)
-    velocity_late = replace(base, platform=np.roll(late, VELOCITY_DELAY - DELAY))
-    assert prior.evaluate(velocity_late)[0] == pytest.approx([2.0, 0.0, 0.0], abs=1e-12)
+@pytest.mark.parametrize(
+    ("which", "measured_m", "asked_s", "left_m"),
+    [
+        (OFFSET, 0.0, 0.0, 0.0), (DELAY, 0.0, 0.0, 0.0), (VELOCITY_DELAY, 0.0, 0.0, 2.0),
+        (OFFSET, 2.0, 0.1, 0.0),  # a position that was asked for at the offset needs no move any more
+    ],
+    ids=["the time offset", "a delay of the position", "a delay of the velocity", "asked for at the offset"],
+)  # fmt: skip
+def test_the_time_offset_and_a_delay_move_positions_along_the_velocity(
+    which: int, measured_m: float, asked_s: float, left_m: float
+) -> None:
+    """Stamps early, or positions old, by 0.1 s at 20 m/s east: the camera was 2 m further east than the GPS said."""
+    velocity, measured = np.array([[20.0, 0.0, 0.0]]), np.array([[measured_m, 0.0, 0.0]])
+    prior = PositionPrior(Layout(1), measured, velocity, np.ones((3, 1, 1)), np.array([asked_s]))
+    shared = 0.1 * (np.arange(STATES) == which)
+    state = State(np.eye(3)[None], np.array([[2.0, 0.0, 0.0]]), np.zeros((0, 3)), shared, np.zeros(3))
+    assert prior.evaluate(state)[0] == pytest.approx([left_m, 0.0, 0.0], abs=1e-12)
 
 
 def test_the_lever_arm_turns_with_the_camera() -> None:

@@ -24,9 +24,7 @@ def patterns(seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Two random patterns (H, W): blobs of about 3 px and of about 20 px, with a margin to move in."""
     rng = np.random.default_rng(seed)
     shape = (SIZE[1] + 80, SIZE[0] + 80)
-    return tuple(  # type: ignore[return-value]
-        cv2.GaussianBlur(rng.standard_normal(shape), (0, 0), s) * s * 3.5 for s in (2.0, 12.0)
-    )
+    return tuple(cv2.GaussianBlur(rng.standard_normal(shape), (0, 0), s) * s * 3.5 for s in (2.0, 12.0))
 
 
 def seen(seed: int, fine_px: tuple[int, int], coarse_px: tuple[int, int]) -> Picture:
@@ -108,7 +106,6 @@ def test_the_answer_to_moving_ground_is_the_solutions_own(speed_m_s: tuple[float
     seconds = [0.0, *(np.diff([k.nav.stamp_ns for k in request.keyframes]) / 1e9)]
     moved = [strayed(k, newest_ns, speed, float(s)) for k, s in zip(request.keyframes, seconds, strict=True)]
     after = adjust(replace(request, keyframes=tuple(moved)))
-    assert before.solved is not None and after.solved is not None
     a, b = before.solved.solution, after.solved.solution
     layout = before.solved.layout
     noise = before.noise

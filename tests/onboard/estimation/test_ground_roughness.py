@@ -18,8 +18,7 @@ def waves(rng: np.random.Generator, xy: Array, sigma_m: float, length_m: float) 
     bearing, phase = rng.uniform(0.0, 2.0 * np.pi, (2, 32))
     wave = 2.0 * np.pi / (length_m * rng.uniform(0.5, 1.5, 32))
     along = xy @ np.stack([np.cos(bearing), np.sin(bearing)]) * wave + phase
-    out: Array = sigma_m * np.sqrt(2.0 / 32) * np.sin(along).sum(axis=1)
-    return out
+    return sigma_m * np.sqrt(2.0 / 32) * np.sin(along).sum(axis=1)
 
 
 def slopes_nees(length_m: float, sigma_m: float = 10.0, flights: int = 150) -> tuple[float, float]:

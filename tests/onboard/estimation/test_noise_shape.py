@@ -19,7 +19,7 @@ def test_noise_of_a_pixel_is_round_in_what_is_weighed_and_of_the_stated_size() -
     noisy = FISHEYE.unproject(uv[None] + rng.normal(0.0, 0.1, (400, len(uv), 2)))[0][..., :2]
     off = (noisy - seen.xy).transpose(0, 2, 1)
     shape = shape_of(FISHEYE, seen.xy.T[None])
-    assert shape is not None and np.abs(shape[0, 0] * shape[0, 1] - shape[0, 2] ** 2 - 1.0).max() < 1e-9
+    assert np.abs(shape[0, 0] * shape[0, 1] - shape[0, 2] ** 2 - 1.0).max() < 1e-9
     weighed = np.stack([rounded(shape, each[None])[0] for each in off]) / (0.1 * seen.gain)
     covariance = np.einsum("nip,njp->pij", weighed, weighed) / len(weighed)
     assert np.abs(covariance - np.eye(2)).max() < 0.35

@@ -46,7 +46,6 @@ def scale_error(scene: Scene) -> tuple[float, float]:
 
 def scale_sigma(window: Window) -> float:
     s = window.solved
-    assert s is not None
     layout, good = s.layout, s.good
     M = -s.solution.point_gain[good][:, 2].mean(axis=0)
     M[layout.centre(layout.keyframes - 1).stop - 1] -= 1.0

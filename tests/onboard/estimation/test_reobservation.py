@@ -180,7 +180,7 @@ def test_a_window_that_lies_elsewhere_turned_or_scaled_disagrees_and_is_refused(
     earlier, later = flown_pair()
     memory = Memory((earlier,))
     true = memory.compared(later)
-    assert true is not None and true.chi2 < 20.0
+    assert true.chi2 < 20.0
     assert by_memory(memory, true) is None
     for wrong in (
         moved(later, (60.0, 0.0, 0.0)),
@@ -189,7 +189,7 @@ def test_a_window_that_lies_elsewhere_turned_or_scaled_disagrees_and_is_refused(
         moved(later, (0.0, 0.0, 0.0), scale=1.5),
     ):
         found = memory.compared(wrong)
-        assert found is not None and found.chi2 > 35.0
+        assert found.chi2 > 35.0
         refusal = by_memory(memory, found)
         assert refusal is not None
         assert "points seen again" in refusal

@@ -63,22 +63,26 @@ def test_a_window_of_swept_pictures_is_solved_as_if_they_had_been_taken_at_once(
     assert errors[1] > 20.0 * errors[0], "this motion would not matter"
 
 
-def test_a_picture_between_keyframes_finds_its_pose_through_its_rows() -> None:
+@pytest.mark.parametrize("is_rate_known", [True, False])
+def test_a_picture_between_keyframes_finds_its_pose_through_its_rows_and_its_own_rate_too(is_rate_known: bool) -> None:
     drawn, sweep, xy = scene(7)
     s, k = drawn.truth, 3
     seen = drawn.problem.weight[k] > 0
-    own = Sweep(
-        READOUT_S, sweep.share[k : k + 1, seen], sweep.rate_cam_rad_s[k : k + 1], sweep.velocity_enu_m_s[k : k + 1]
-    )
-    loose, weight = np.array([1.0] * 3 + [100.0] * 3), np.full(np.count_nonzero(seen), 900.0 / 0.3)
-    missed = []
-    for rows in (own, None):
-        found = resect(
-            Sighted(s.points_enu_m[seen], xy[k, seen], weight), s.R_cam_enu[k], s.centres_enu_m[k], loose, sweep=rows
-        )
-        missed.append(float(np.linalg.norm(found.centre_enu_m - s.centres_enu_m[k])))
-    assert missed[0] < 0.03
-    assert missed[1] > 0.5, "this motion would not matter"
+    share, velocity, rates = sweep.share[k : k + 1, seen], sweep.velocity_enu_m_s[k : k + 1], sweep.rate_cam_rad_s[k]
+    rows: list[Sweep | None] = [Sweep(READOUT_S, share, rates[None], velocity), None]
+    if not is_rate_known:
+        rows = [Sweep(READOUT_S, share, np.zeros((1, 3)), velocity, sigma, READOUT_S) for sigma in (0.3, 0.0)]
+    points = Sighted(s.points_enu_m[seen], xy[k, seen], np.full(np.count_nonzero(seen), 900.0 / 0.3))
+    loose = np.array([1.0] * 3 + [100.0] * 3)
+    found, without = (resect(points, s.R_cam_enu[k], s.centres_enu_m[k], loose, sweep=own) for own in rows)
+    missed, else_missed = (float(np.linalg.norm(f.centre_enu_m - s.centres_enu_m[k])) for f in (found, without))
+    if is_rate_known:
+        assert missed < 0.03
+        assert else_missed > 0.5, "this motion would not matter"
+    else:
+        assert missed < 0.3 and (len(found.information), len(without.information)) == (9, 6)
+        assert else_missed > 3.0 * missed, "this motion would not matter"
+        np.testing.assert_allclose(found.rate_off_rad_s, rates, atol=0.03)
 
 
 def test_rates_that_nothing_measures_are_found_with_the_poses() -> None:
@@ -100,24 +104,6 @@ def test_rates_that_nothing_measures_are_found_with_the_poses() -> None:
     assert 0.001 < sigma.max() < 0.2
     missed_m = [np.abs(s.centres_enu_m - drawn.truth.centres_enu_m).max() for s in (solution.state, known)]
     assert missed_m[0] < missed_m[1] + 1.0
-
-
-def test_a_picture_between_keyframes_finds_its_own_rate_too() -> None:
-    drawn, sweep, xy = scene(7)
-    s, k = drawn.truth, 3
-    seen = drawn.problem.weight[k] > 0
-    rates, share, velocity = sweep.rate_cam_rad_s[k], sweep.share[k : k + 1, seen], sweep.velocity_enu_m_s[k : k + 1]
-    loose, weight = np.array([1.0] * 3 + [100.0] * 3), np.full(np.count_nonzero(seen), 900.0 / 0.3)
-    points, missed = s.points_enu_m[seen], []
-    for sigma_rad_s in (0.3, 0.0):
-        own = Sweep(READOUT_S, share, np.zeros((1, 3)), velocity, sigma_rad_s, READOUT_S)
-        found = resect(Sighted(points, xy[k, seen], weight), s.R_cam_enu[k], s.centres_enu_m[k], loose, sweep=own)
-        missed.append(float(np.linalg.norm(found.centre_enu_m - s.centres_enu_m[k])))
-        assert len(found.information) == (9 if sigma_rad_s else 6)
-        if sigma_rad_s:
-            np.testing.assert_allclose(found.rate_off_rad_s, rates, atol=0.03)
-    assert missed[0] < 0.3
-    assert missed[1] > 3.0 * missed[0], "this motion would not matter"
 
 
 def test_the_residual_changes_with_the_readout_as_its_derivative_says() -> None:

@@ -31,7 +31,6 @@ STRAIGHT_UP = replace(CLIMB, speed_m_s=0.7, relief_sigma_m=0.0)
 
 def turn_deg(scene: Scene, outcome: Outcome) -> float:
     """How far the newest orientation of an accepted window is off."""
-    assert outcome.solved is not None
     R = outcome.solved.solution.state.R_cam_enu[-1]
     return float(np.degrees(np.linalg.norm(log_so3(R @ scene.R_cam_enu[scene.is_key][-1].T))))
 
@@ -89,7 +88,6 @@ def test_a_solution_that_bends_the_path_away_from_gps_is_compared_all_the_same()
     again = window.prepare()
     found = from_one_start(again)
     for bent_m, starts in ((0.5, 0), (10.0, 1)):
-        assert found.solved is not None
         solution = found.solved.solution
         centres = solution.state.centres_enu_m.copy()
         centres[-1, 0] += bent_m
@@ -105,7 +103,6 @@ def test_of_two_solutions_the_less_noisy_ones_weights_decide_and_not_each_ones_o
     assert true.solved is not None and true.weighed is not None
     excused = replace(request, noise=replace(request.noise, noise_inflation=2.0))
     wrong = from_one_start(replace(begun_mirrored(request), noise=excused.noise))
-    assert wrong.weighed is not None
     assert wrong.weighed.solution.cost < true.weighed.solution.cost + 50.0  # by its own weights it seems to fit
     wrong = replace(wrong, status=Status.OK, solved=true.solved)
     assert likelier(request.keyframes, true, wrong) is true
@@ -147,7 +144,6 @@ def test_what_fits_as_well_but_is_known_too_badly_to_be_published_is_not_refuted
     assert wrong.status is Status.OK and turn_deg(scene, wrong) > 150.0
     true = adjusted(next(other_starts(request, wrong)).window)
     assert true.status is Status.LOW_PARALLAX and true.is_minimum
-    assert true.weighed is not None and wrong.weighed is not None
     assert true.weighed.solution.cost < wrong.weighed.solution.cost
     for outcomes in ((true, wrong), (wrong, true)):
         assert "two orientations" in likelier(request.keyframes, *outcomes).reason
@@ -186,7 +182,6 @@ def test_a_heading_all_round_counts_unless_it_is_clearly_unlikelier(
     if widened is None:
         assert judged.status is Status.LOW_PARALLAX and "heading hardly known" in judged.reason
     else:
-        assert judged.solved is not None
         assert judged.solved.variance_factor == pytest.approx(widened, abs=0.05)
 
 
@@ -203,7 +198,7 @@ def test_a_refusal_without_attitude_does_not_speak_of_attitude() -> None:
     scene = draw(np.random.default_rng(0), SEED_SENSORS, SceneSpec())
     request = scene.window().prepare()
     outcome = from_one_start(request)
-    assert outcome.solved is not None and outcome.weighed is not None
+    assert outcome.solved is not None
     solved, priors = outcome.solved, outcome.weighed.problem.priors
     kept = np.isfinite(solved.solution.residual_sigmas).astype(float)
     tight = [replace(p, whitener=100.0 * p.whitener) if isinstance(p, AttitudePrior) else p for p in priors]

@@ -24,7 +24,6 @@ def add(window: Window, scene: Scene, k: int) -> None:
 
 def worst_turn_deg(window: Window, scene: Scene) -> float:
     solved = window.solved
-    assert solved is not None
     truth = scene.R_cam_enu[list(solved.frames)]
     turn = log_so3(solved.solution.state.R_cam_enu @ truth.transpose(0, 2, 1))
     return float(np.degrees(np.linalg.norm(turn, axis=1)).max())
@@ -37,7 +36,6 @@ def test_an_ordinary_flight_is_solved(config: Config, seed: int) -> None:
     window = scene.window()
     assert window.solve() is Status.OK
     solved = window.solved
-    assert solved is not None
     error = solved.solution.state.centres_enu_m - scene.centres_enu_m[list(solved.frames)]
     assert np.linalg.norm(error, axis=1).max() < 6.0
     assert worst_turn_deg(window, scene) < 6.0
@@ -124,7 +122,6 @@ def test_a_sliding_window_keeps_ten_keyframes_and_stays_right() -> None:
         add(window, scene, int(k))
         if window.solve() is Status.OK:
             solved = window.solved
-            assert solved is not None
             off = solved.solution.state.centres_enu_m - scene.centres_enu_m[list(solved.frames)]
             worst.append(np.linalg.norm(off, axis=1).max())
     assert len(window.keyframes) == FULL.solve.keyframes
@@ -186,10 +183,8 @@ def test_a_picture_that_shares_no_known_point_is_oriented_from_the_one_before_it
     for k in (*earlier, newest):
         add(window, scene, k)
     assert window.solve() is Status.OK
-    assert window.solved is not None
     assert not window.solved.rows(both)[1].any()
     guess = window.pose_guess(scene.observations[last], scene.navs[last])
-    assert guess is not None
     turn_deg = np.degrees(np.linalg.norm(log_so3(guess.R_cam_enu @ scene.R_cam_enu[last].T)))
     assert 0.0 < turn_deg < 6.0
     add(window, scene, last)

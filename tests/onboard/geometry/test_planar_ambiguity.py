@@ -11,8 +11,7 @@ PLANE = np.zeros(3)
 
 
 def homography(Q: np.ndarray, travel_m: np.ndarray, normal: np.ndarray, distance_m: float) -> np.ndarray:
-    out: np.ndarray = Q @ (np.eye(3) - np.outer(travel_m, normal) / distance_m)
-    return out
+    return Q @ (np.eye(3) - np.outer(travel_m, normal) / distance_m)
 
 
 @pytest.mark.parametrize("travel", [(3.0, 0.0, 20.0), (-4.0, 7.0, -15.0), (20.0, 5.0, 1.0)])
@@ -48,7 +47,6 @@ def views(velocity: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarray,
 def test_a_climb_has_a_mirrored_explanation_turned_half_round() -> None:
     R, centres, xy, points = views((0.5, 0.3, 3.0))
     other = mirrored(R, centres, PLANE, xy, np.ones(xy.shape[:2], bool), 0.9)
-    assert other is not None
     turned = np.degrees(np.arccos(np.clip((np.trace(other[0] @ R[0].T) - 1.0) / 2.0, -1.0, 1.0)))
     assert turned > 150.0
     # Where its rays meet level ground is where one point is, but for what travel and plane do not fit exactly.

@@ -11,7 +11,7 @@ from onboard.geometry.robust import cauchy_weight, irls, middle, robust_cost
 Array = NDArray[np.float64]
 
 
-def mean_of(values: Array, seen: list[Array]):  # type: ignore[no-untyped-def]
+def mean_of(values: Array, seen: list[Array]):
     def fit(weight: Array) -> tuple[float, Array]:
         seen.append(weight)
         mean = float(weight @ values / weight.sum())
@@ -21,8 +21,7 @@ def mean_of(values: Array, seen: list[Array]):  # type: ignore[no-untyped-def]
 
 
 def in_spreads(residual: Array) -> Array:
-    out: Array = (residual / max(1.4826 * middle(np.abs(residual)), 1e-12)) ** 2
-    return out
+    return (residual / max(1.4826 * middle(np.abs(residual)), 1e-12)) ** 2
 
 
 def test_a_fifth_of_wrong_values_moves_a_mean_by_less_than_its_own_noise() -> None:

@@ -151,7 +151,6 @@ def test_a_void_has_no_height(srtm: Path) -> None:
 def test_ellipsoidal_heights_come_down_by_the_undulation(geographic: Path) -> None:
     sea = TerrainFiles(geographic).around(FRAME, CENTRE, 400.0, 40.0, 11.0)
     ellipsoid = TerrainFiles(geographic, "ellipsoid").around(FRAME, CENTRE, 400.0, 40.0, 11.0)
-    assert sea is not None and ellipsoid is not None
     assert sea.heights_m - ellipsoid.heights_m == pytest.approx(np.full_like(sea.heights_m, 11.0))
     assert TerrainFiles(geographic, "ellipsoid").around(FRAME, CENTRE, 400.0, 40.0, float("nan")) is None
 
@@ -198,7 +197,6 @@ def test_terrain_is_found_again_before_the_aircraft_is_over_it(
 def test_a_folder_of_tiles_is_one_terrain(geographic: Path, utm: Path) -> None:
     both = TerrainFiles(geographic.parent).around(FRAME, CENTRE, 3000.0, 100.0, 11.0)
     one = TerrainFiles(geographic).around(FRAME, CENTRE, 3000.0, 100.0, 11.0)
-    assert both is not None and one is not None
     assert np.isfinite(both.heights_m).sum() >= np.isfinite(one.heights_m).sum()
 
 

@@ -52,7 +52,6 @@ def test_what_moves_the_window_moves_every_picture_with_it(spec: SceneSpec) -> N
     """A picture between keyframes has the window's errors, whatever its own prior adds: that is a keyframe's pose."""
     scene = draw(np.random.default_rng(2), FULL, spec)
     window = solved(scene)
-    assert window.solved is not None
     layout, slope = window.solved.layout, window.solved.solution.state.plane[1:]
     for axis in range(3):
         moved = np.zeros(layout.size)
@@ -71,8 +70,7 @@ def truth_at(scene: Scene, frame: int, uv: Array) -> Array:
 
 def enu(fix: Fix) -> Array:
     assert fix.height_amsl_m is not None
-    at: Array = FRAME.to_enu(fix.lat_deg, fix.lon_deg, fix.height_amsl_m)
-    return at
+    return FRAME.to_enu(fix.lat_deg, fix.lon_deg, fix.height_amsl_m)
 
 
 @dataclass

@@ -162,7 +162,7 @@ def test_a_viewer_publishes_neither_sets_nor_status_and_answers_for_no_one(place
         assert status.count(b"spoofed") == 0
         assert set(asked(place.endpoint, tls=place.tls("anna"))) == {"uav-1"}
         queryable.undeclare()
-        listener.close()  # type: ignore[no-untyped-call]
+        listener.close()
 
 
 def test_without_certificates_too_no_one_publishes_through_the_aircraft() -> None:

@@ -48,11 +48,11 @@ def test_a_roof_is_measured_over_the_link_within_half_a_second(endpoint: str) ->
     began_s = time.monotonic()
     clicked = asked(endpoint, ROOF).clicked
     assert time.monotonic() - began_s < 3.0  # 0.5 s on a machine of its own: tests/limits
-    assert clicked is not None and clicked.is_measured
+    assert clicked.is_measured
     depth = float(WORLD.depths(CLICKED, np.array(ROOF))[0])
     assert clicked.inverse_depth_per_m * depth == pytest.approx(1.0, abs=0.01)
     assert asked(endpoint, (3.0, 3.0)).clicked is not None  # its border, with a word
-    assert asked(endpoint, (3.0, 3.0)).clicked.measured is Measured.BORDER  # type: ignore[union-attr]
+    assert asked(endpoint, (3.0, 3.0)).clicked.measured is Measured.BORDER
 
 
 def test_the_command_states_measured_and_interpolated_leaves_it_out(

@@ -128,7 +128,7 @@ def test_refusals_repeats_and_pictures_without_image_are_no_reason_to_send() -> 
 def test_images_are_made_smaller_never_larger(
     kind: str, size: tuple[int, int], max_px: int, expected: tuple[int, int]
 ) -> None:
-    content, width, height = small_image(an_image(1, *size), PictureConfig(format=kind, max_px=max_px))  # type: ignore[arg-type]
+    content, width, height = small_image(an_image(1, *size), PictureConfig(format=kind, max_px=max_px))
     assert (width, height) == expected
     assert cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_GRAYSCALE).shape == expected[::-1]
 
@@ -169,7 +169,7 @@ def test_a_ground_that_asks_gets_the_right_picture_for_the_frame_and_one_that_do
         assert sorted(pictures.frames("uav-1", BASE.session)) == [10, 20, 30]
         for frame in (10, 20, 30):
             picture = pictures.picture("uav-1", BASE.session, frame)
-            assert picture is not None and picture.capture_unix_ns == START_NS + frame * 10**8
+            assert picture.capture_unix_ns == START_NS + frame * 10**8
             assert picture.content == small_image(an_image(frame), SECTION)[0]
         assert pictures.dropped.unreadable == 0
 

@@ -181,9 +181,9 @@ def test_a_subscriber_caches_sets_by_vehicle_frame_and_time(publisher: Publisher
             cache.by_frame("uav-1", 2),
             cache.by_time("uav-1", START_NS / 1e9 + 1.1),
         )
-        assert newest is not None and newest.frame == 3
+        assert newest.frame == 3
         assert eventually(lambda: (s := cache.by_frame("uav-1", 2)) is not None and s.revision == 4)
-        assert two is not None and timed is not None and timed.frame == 1
+        assert two is not None and timed.frame == 1
         assert cache.locator(newest) is cache.locator(newest)
         assert isinstance(cache.locator(newest).locate((320.0, 240.0)), Fix)
         assert cache.by_frame("nobody", 1) is None and cache.dropped.unreadable == 0
@@ -320,12 +320,12 @@ def test_the_age_of_the_newest_picture_grows_while_only_old_ones_come(publisher:
         publisher.publish(a_set(4, revision=1))
         assert eventually(lambda: cache.by_frame("uav-1", 4) is not None)
         age_s = cache.age_s("uav-1")
-        assert age_s is not None and 0.4 <= age_s <= time.monotonic() - begun_at + 0.5
+        assert 0.4 <= age_s <= time.monotonic() - begun_at + 0.5
         renewed_at = time.monotonic()
         publisher.publish(a_set(500))  # its stamp is further ahead than the waits took: its way is the fastest known
         assert eventually(lambda: cache.by_frame("uav-1", 500) is not None)
         age_s = cache.age_s("uav-1")
-        assert age_s is not None and age_s <= time.monotonic() - renewed_at + 0.3
+        assert age_s <= time.monotonic() - renewed_at + 0.3
 
 
 def test_a_live_click_in_its_own_process_answers_and_refuses(publisher: Publisher, endpoint: str) -> None:
@@ -341,8 +341,7 @@ def test_a_live_click_in_its_own_process_answers_and_refuses(publisher: Publishe
         printed: list[tuple[int, str, str]] = []
         assert eventually(lambda: printed.append(click(*arguments, "--format", "json")) or printed[-1][0] != 2)
         assert printed[-1][0] == expected, printed[-1]
-        found: dict[str, object] = json.loads(printed[-1][1])
-        return found
+        return json.loads(printed[-1][1])
 
     first = answer(0, "--max-age", "inf")
     assert (first["frame"], first["vehicle"]) == (7, decode(encode(a_set(7))).vehicle)

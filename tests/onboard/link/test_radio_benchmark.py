@@ -36,5 +36,5 @@ def test_clicks_through_an_autopilot_are_counted_and_its_own_messages_timed() ->
     )  # fmt: skip
     assert "clicks answered" in done.stdout, done.stderr
     found = re.search(r"(\d+) of (\d+)", done.stdout)
-    assert found is not None and int(found[1]) == int(found[2]) >= 3
+    assert int(found[1]) == int(found[2]) >= 3
     assert done.stdout.count("99 % within") == 2

@@ -202,13 +202,13 @@ def test_a_refusal_gives_way_to_an_answer_unless_that_is_old() -> None:
     selection.offer(an_offer(0, 0.0))
     selection.offer(an_offer(1, 0.5, is_ok=False))
     chosen = selection.next(0.6)
-    assert chosen is not None and chosen.frame == 0
+    assert chosen.frame == 0
     selection.offer(an_offer(2, 3.0, is_ok=False))
     chosen = selection.next(3.0)
-    assert chosen is not None and chosen.frame == 2
+    assert chosen.frame == 2
     selection.sent(chosen, 3.0)
     chosen = selection.next(3.0)
-    assert chosen is not None and chosen.frame == 0
+    assert chosen.frame == 0
 
 
 def test_a_picture_placed_late_is_still_the_newest_that_answers() -> None:
@@ -218,11 +218,11 @@ def test_a_picture_placed_late_is_still_the_newest_that_answers() -> None:
     for frame in range(5):
         selection.offer(an_offer(frame, frame / 10.0, 1))
     chosen = selection.next(1.0)
-    assert chosen is not None and (chosen.frame, chosen.revision) == (4, 1)
+    assert (chosen.frame, chosen.revision) == (4, 1)
     selection.sent(chosen, 1.0)
     assert selection.next(1.1) is None
     rest = selection.next_of_rest(1.1)
-    assert rest is not None and rest.revision == 1 and rest.frame != 4
+    assert rest.revision == 1 and rest.frame != 4
 
 
 def test_a_picture_overtaken_before_its_turn_waits_with_the_older_ones_and_not_in_place_of_its_revision() -> None:
@@ -230,7 +230,7 @@ def test_a_picture_overtaken_before_its_turn_waits_with_the_older_ones_and_not_i
     for frame in range(3):
         selection.offer(an_offer(frame, frame / 10.0))
     newest = selection.next(0.3)
-    assert newest is not None and newest.frame == 2
+    assert newest.frame == 2
     selection.sent(newest, 0.3)
     selection.offer(an_offer(0, 0.0, revision=1))
     found = []
@@ -259,7 +259,7 @@ def test_a_later_revision_replaces_the_earlier_while_both_wait() -> None:
     selection.offer(an_offer(0, 0.0, 2))
     selection.offer(an_offer(0, 0.0, 1))
     chosen = selection.next(0.0)
-    assert chosen is not None and chosen.revision == 2
+    assert chosen.revision == 2
     selection.sent(chosen, 0.0)
     again = selection.next(0.1)
     assert again is None or again.revision == 1
@@ -270,7 +270,7 @@ def test_a_new_session_puts_the_old_ones_sets_away() -> None:
     selection.offer(an_offer(50, 5.0))
     selection.offer(Offer(2, 0, 0, START_NS, True, False, "new"))
     chosen = selection.next(0.0)
-    assert chosen is not None and chosen.item == "new"
+    assert chosen.item == "new"
 
 
 @given(st.lists(st.tuples(st.integers(0, 300), st.integers(0, 3), st.booleans(), st.booleans()), max_size=150))

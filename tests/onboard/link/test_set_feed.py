@@ -89,7 +89,7 @@ def simulated(
             if done is not None:
                 number = int.from_bytes(done[0][:4], "little")
                 assert done[0] == an_offer(number, 0.0).item
-                assert done[1] is not None and -0.01 <= done[1] <= now_s - number / camera_hz
+                assert -0.01 <= done[1] <= now_s - number / camera_hz
                 ground.came.append((now_s, number / camera_hz))
                 newest_s = max(newest_s, number / camera_hz)
         ground.ages_s.append(now_s - newest_s)

@@ -23,7 +23,7 @@ def zenoh_client(endpoint: str) -> zenoh.Session:
 
 def query(session: zenoh.Session, selector: str, timeout_s: float = 2.0) -> list[bytes]:
     replies = session.get(selector, timeout=timeout_s)
-    return [(reply.ok or reply.err).payload.to_bytes() for reply in replies]  # type: ignore[union-attr]
+    return [(reply.ok or reply.err).payload.to_bytes() for reply in replies]
 
 
 def answer(session: zenoh.Session, selector: str) -> bytes:

@@ -12,7 +12,7 @@ import zenoh
 from contract.errors import LinkError
 from contract.fleet import Fleet
 from contract.link_config import Tls, link_config
-from contract.topics import FOLLOW, SPOTS, TRACKS
+from contract.topics import FOLLOW, SPOTS, TRACKS, Topic
 from contract.track import ListTracks, StartTrack, StopTrack
 from contract.wire.track_code import encode_track
 from ground.router import _rights
@@ -128,37 +128,20 @@ def test_through_a_router_operators_may_follow_and_viewers_may_not() -> None:
     assert allowed == {"aircraft uav-1": False, "operators": True, "viewers": False}
 
 
-def test_reports_of_eight_tracks_leave_sets_their_rate_at_their_bit_rate() -> None:
-    """A minute at 64 kbit/s: five sets a second, and reports of 8 x 57 bytes twice a second."""
+@pytest.mark.parametrize(("kind", "size"), [(TRACKS, 456), (SPOTS, 200)], ids=["eight tracks", "a packet of spots"])
+def test_reports_go_twice_a_second_and_leave_sets_their_rate(kind: Topic, size: int) -> None:
+    """A minute at 64 kbit/s: five sets a second."""
     budget = Budget(64_000.0, 0.2, 5.0, 0.0)
     sent = dict.fromkeys(USES, 0)
-    due_set = due_tracks = 0.0
+    due_set = due_report = 0.0
     for step in range(60_000):
         now_s = step * 0.001
         budget.waits(Kind.SET, 600 if now_s >= due_set else None, now_s)
-        budget.waits(TRACKS, 456 if now_s >= due_tracks else None, now_s)
-        if now_s >= due_tracks and budget.send(TRACKS, 456, now_s):
-            sent[TRACKS] += 1
-            due_tracks += 0.5
+        budget.waits(kind, size if now_s >= due_report else None, now_s)
+        if now_s >= due_report and budget.send(kind, size, now_s):
+            sent[kind] += 1
+            due_report += 0.5
         if now_s >= due_set and budget.send(Kind.SET, 600, now_s):
             sent[Kind.SET] += 1
             due_set += 0.2
-    assert sent[Kind.SET] >= 290 and 110 <= sent[TRACKS] <= 121
-
-
-def test_full_packets_of_spots_leave_sets_their_rate_and_go_twice_a_second() -> None:
-    """A minute at 64 kbit/s: five sets a second, and 200 bytes of spots twice a second."""
-    budget = Budget(64_000.0, 0.2, 5.0, 0.0)
-    sent = dict.fromkeys(USES, 0)
-    due_set = due_spots = 0.0
-    for step in range(60_000):
-        now_s = step * 0.001
-        budget.waits(Kind.SET, 600 if now_s >= due_set else None, now_s)
-        budget.waits(SPOTS, 200 if now_s >= due_spots else None, now_s)
-        if now_s >= due_spots and budget.send(SPOTS, 200, now_s):
-            sent[SPOTS] += 1
-            due_spots += 0.5
-        if now_s >= due_set and budget.send(Kind.SET, 600, now_s):
-            sent[Kind.SET] += 1
-            due_set += 0.2
-    assert sent[Kind.SET] >= 290 and 110 <= sent[SPOTS] <= 121
+    assert sent[Kind.SET] >= 290 and 110 <= sent[kind] <= 121

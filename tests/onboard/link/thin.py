@@ -81,7 +81,7 @@ class ThinLink:
         return most
 
     def _start(self, work: object, *args: object) -> None:
-        thread = threading.Thread(target=work, args=args, daemon=True)  # type: ignore[arg-type]
+        thread = threading.Thread(target=work, args=args, daemon=True)
         thread.start()
         self._threads.append(thread)
 

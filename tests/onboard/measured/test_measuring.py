@@ -27,7 +27,6 @@ def off_in_sigmas(world: World, clicks: np.ndarray) -> tuple[np.ndarray, np.ndar
     errors, sigmas, words = [], [], []
     for uv in clicks:
         pixel = questions.measured_set(clicked.its_set, (float(uv[0]), float(uv[1])), clicked, rest).clicked
-        assert pixel is not None
         words.append(pixel.measured)
         if pixel.is_measured:
             depth = float(world.depths(CLICKED, np.array([pixel.u_px, pixel.v_px]))[0])
@@ -181,9 +180,9 @@ def test_what_cannot_be_measured_states_why(world: World, uv: tuple[float, float
     clicked = world.kept(CLICKED)
     textured = World(seed=4)  # whose poses are the same: features need something to be found by
     questions = Questions()
-    questions._seen_by = lambda *args: views_of(world, textured)  # type: ignore[method-assign]
+    questions._seen_by = lambda *args: views_of(world, textured)
     pixel = questions.measured_set(clicked.its_set, uv, clicked, others(world)).clicked
-    assert pixel is not None and pixel.measured is word
+    assert pixel.measured is word
 
 
 def views_of(world: World, textured: World) -> list[object]:
@@ -209,7 +208,7 @@ def test_a_picture_that_is_not_kept_or_has_no_others_is_not_measured() -> None:
         (clicked, others(world)[:2], Measured.FEW_VIEWS),
     ):
         pixel = Questions().measured_set(clicked.its_set, (150.0, 110.0), kept, rest).clicked
-        assert pixel is not None and pixel.measured is word
+        assert pixel.measured is word
 
 
 def test_what_is_hidden_in_most_views_is_refused() -> None:
@@ -219,7 +218,7 @@ def test_what_is_hidden_in_most_views_is_refused() -> None:
     for kept in rest:
         kept.image[60:180, 40:280] = World(seed=60).image(CLICKED)[60:180, 40:280]
     pixel = Questions().measured_set(clicked.its_set, (160.0, 120.0), clicked, rest).clicked
-    assert pixel is not None and pixel.measured in (Measured.HIDDEN, Measured.FEW_VIEWS, Measured.EDGE)
+    assert pixel.measured in (Measured.HIDDEN, Measured.FEW_VIEWS, Measured.EDGE)
 
 
 def test_the_derivatives_of_a_patch_are_those_of_finite_differences() -> None:

@@ -86,7 +86,6 @@ def test_a_pose_moves_with_what_the_features_have_in_common_as_it_states_and_its
     for mode, step in enumerate(1e-4 * np.eye(3)):
         wrong = replace(features, inverse_depth_per_m=features.inverse_depth_per_m * (1.0 + each @ step))
         found = resect(R, centre, wrong, xy, CAMERA)
-        assert found is not None
         turned = found[0] @ plain[0].T
         turn = np.array([turned[2, 1], turned[0, 2], turned[1, 0]])
         moved = np.array([*turn, *(plain[0] @ (found[1] - plain[1]))])
@@ -127,7 +126,6 @@ def test_a_pose_moves_with_the_camera_s_errors_as_it_states() -> None:
         wrong = corrected(CAMERA, step)
         off = replace(features, rays=wrong.unproject(features.uv_px)[0])
         found = resect(R, centre, off, wrong.unproject(uv)[0][:, :2], wrong)
-        assert found is not None
         turned = found[0] @ plain[0].T
         moved = np.array([turned[2, 1], turned[0, 2], turned[1, 0], *(plain[0] @ (found[1] - plain[1]))])
         stated = plain[5].by_pose[:, 3 + state] * 1e-4
@@ -168,7 +166,6 @@ def test_a_pose_that_is_far_off_is_mended_as_far_as_the_sets_state_that_it_may_b
     assert reach_px(clicked.its_set, other.its_set) == LEAST_REACH_PX
     found = view_of(clicked.image, features, other.image, other.its_set, off, reach)
     plain = view_of(clicked.image, features, other.image, other.its_set, (R, centre))
-    assert found is not None and plain is not None
     assert np.abs(found.R - plain.R).max() < 5e-4
     assert view_of(clicked.image, features, other.image, other.its_set, off) is None
 

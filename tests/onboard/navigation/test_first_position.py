@@ -53,7 +53,6 @@ def started(order: tuple[str, ...], fixed_at: dict[str, float]) -> Iterator[tupl
 
 
 def home_is_near(navigation: Navigation) -> bool:
-    assert navigation.frame is not None
     return float(np.linalg.norm(navigation.frame.to_enu(-43.38, 172.4, 100.0))) < 100.0
 
 
@@ -91,7 +90,6 @@ def test_however_the_fix_becomes_known_no_state_is_ever_at_the_place_without_one
     for t, navigation in started(KINDS, fixed_at):
         got = navigation.state_at(T0 + round(t * 1e9) - 300_000_000)
         if isinstance(got, NavState):
-            assert navigation.frame is not None
             lat, lon, _ = navigation.frame.to_geodetic(got.position_enu_m)
             assert float(lat) == pytest.approx(-43.38, abs=1e-3), (t, late)
             assert float(lon) == pytest.approx(172.4, abs=1e-3)

@@ -82,7 +82,7 @@ def test_distances_over_one_gap_share_what_was_missed_in_it() -> None:
     _, known = flight(TURNS[1], 2.0)
     parts = [known.displacement(ns(8.0 + 0.5 * k), ns(8.5 + 0.5 * k)) for k in range(8)]
     whole = known.displacement(ns(8.0), ns(12.0))
-    assert whole is not None and len(whole.between_m) == 2
+    assert len(whole.between_m) == 2
     covariance = between_covariance(parts)[0]
     assert np.sqrt(np.linalg.norm(whole.between_m[ns(8.0)][0])) > 0.5
     assert covariance[:4, :4].sum() == pytest.approx(whole.between_m[ns(8.0)][0] ** 2)

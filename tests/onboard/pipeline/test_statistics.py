@@ -29,5 +29,5 @@ def after(pictures: int) -> Shortfall | None:
 
 def test_no_more_pairs_are_reported_to_be_parted_than_there_are() -> None:
     short, long = after(100), after(REMEMBERED + 1000)
-    assert short is not None and "between 99 of 99 pairs" in short.reason
-    assert long is not None and f"between {REMEMBERED} of {REMEMBERED} pairs" in long.reason
+    assert "between 99 of 99 pairs" in short.reason
+    assert f"between {REMEMBERED} of {REMEMBERED} pairs" in long.reason

@@ -33,7 +33,7 @@ def test_reports_come_twice_a_second_of_the_flight_and_are_the_same_again() -> N
     out, failed = follow(Clicked(15, float(u), float(v)))
     assert not failed and len(out) == 5
     last = out[-1][0]
-    assert last.state is TrackState.FOLLOWED and last.course is not None and abs(last.course.speed_m_s - 4.0) < 0.4
+    assert last.state is TrackState.FOLLOWED and abs(last.course.speed_m_s - 4.0) < 0.4
     assert follow(Clicked(15, float(u), float(v)))[0] == out
 
 

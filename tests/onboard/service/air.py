@@ -284,7 +284,7 @@ def take_off(
         work.is_recording = lambda: bool(recording._queue._waiting)
         pipeline = Pipeline(config, optics, worker=CountingExecutor(work))
         flying = pipeline if wrap is None else wrap(pipeline)
-        flying.handle = counted(flying.handle, work)  # type: ignore[method-assign]
+        flying.handle = counted(flying.handle, work)
 
         def report(report: Report) -> None:
             air.statuses.append(((clock.now_ns() - air.first_ns) / 1e9, decode_status(encode_status(report.status))))

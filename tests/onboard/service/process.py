@@ -75,17 +75,14 @@ class Aircraft:
             resource.setrlimit(resource.RLIMIT_FSIZE, (self.max_file_bytes, self.max_file_bytes))
 
     def _read(self, process: subprocess.Popen[str]) -> None:
-        assert process.stdout is not None
         for line in process.stdout:
             self.log.append(line.rstrip("\n"))
 
     def signal(self, number: signal.Signals) -> None:
-        assert self.process is not None
         self.process.send_signal(number)
 
     def ended(self) -> int:
         """Its exit code; a kill is what the service manager does where it has not ended within TimeoutStopSec."""
-        assert self.process is not None
         return self.process.wait(PATIENCE_S)
 
     def report(self) -> Report | None:

@@ -66,7 +66,7 @@ def test_a_stream_without_a_file_is_no_journal() -> None:
         def fileno(self) -> int:
             raise ValueError("no file")
 
-    assert not is_journal(Nowhere(), {"JOURNAL_STREAM": "1:2"})  # type: ignore[arg-type]
+    assert not is_journal(Nowhere(), {"JOURNAL_STREAM": "1:2"})
 
 
 TALKS = """

@@ -54,7 +54,7 @@ def test_a_pixel_is_measured_and_the_answer_is_the_same_set_but_for_it(held: Sim
     assert held.ask(payload)
     held.measured.work()
     (answer,) = held.answers
-    assert answer is not None and answer.clicked is not None and answer.clicked.is_measured
+    assert answer.clicked.is_measured
     assert encode(dataclasses.replace(answer, clicked=None)) == payload
     assert decode(encode(answer)).clicked == pytest.approx(answer.clicked) or answer.clicked.is_measured
 
@@ -152,7 +152,7 @@ def test_a_later_set_of_a_kept_picture_replaces_its_earlier_one() -> None:
     pictures.revise(dataclasses.replace(SET, revision=2))
     pictures.revise(dataclasses.replace(SET, revision=1))
     kept, _ = pictures.placed(SET.session, SET.frame)
-    assert kept is not None and kept.its_set.revision == 2
+    assert kept.its_set.revision == 2
 
 
 def test_pictures_whose_sets_never_come_are_forgotten() -> None:

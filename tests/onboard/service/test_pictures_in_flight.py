@@ -53,7 +53,7 @@ def test_the_daemon_sends_pictures_if_configured_and_warns_where_there_is_no_roo
             **({"picture": {"enabled": True}} if is_on else {}),
         }
     )
-    parts = open_parts(config, open_camera=lambda *_: PlayedSource(SessionClock.start(), [], Work()))  # type: ignore[arg-type]
+    parts = open_parts(config, open_camera=lambda *_: PlayedSource(SessionClock.start(), [], Work()))
     with parts.resources:
         assert sum(isinstance(sink, PictureSender) for sink in parts.sinks) == is_on
         assert ("link.max_bit_rate = 32000 leaves" in caplog.text) == is_on

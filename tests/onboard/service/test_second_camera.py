@@ -97,7 +97,7 @@ def test_the_daemon_opens_a_second_camera_where_one_is_named_and_records_what_is
     Image.fromarray(np.full((120, 160), 29000, np.uint16)).save(tmp_path / "heat" / "20260612T101523.25Z.png")
     named = {"device": f"replay:{tmp_path / 'heat'}", "file": str(tmp_path / "thermal.json"), "scale": 0.01}
     config = configured(tmp_path, **(named if is_there else {}))
-    parts = open_parts(config, open_camera=lambda *_: PlayedSource(SessionClock.start(), [], Work()))  # type: ignore[arg-type]
+    parts = open_parts(config, open_camera=lambda *_: PlayedSource(SessionClock.start(), [], Work()))
     with parts.resources:
         assert [name for name in ("spots", "thermal camera") if name in [t.name for t in parts.threads]] == (
             ["spots", "thermal camera"] if is_there else []

@@ -235,7 +235,7 @@ class Memory:
 def learning(memory: Memory) -> Callable[[Parts], Parts]:
     def change(parts: Parts) -> Parts:
         assert parts.pipeline.window.alignment.offer(0, 1, np.zeros(8), 1e-6 * np.eye(8))
-        return replace(parts, state=memory)  # type: ignore[arg-type]
+        return replace(parts, state=memory)
 
     return change
 
@@ -292,7 +292,7 @@ def test_a_pipeline_that_fails_at_its_very_end_is_no_clean_end(caplog: pytest.Lo
         def fail() -> list[FeatureSet]:
             raise RuntimeError("at the end")
 
-        rig.pipeline.finish = fail  # type: ignore[method-assign]
+        rig.pipeline.finish = fail
         rig.wait_for(lambda: rig.fed > 3)
         rig.order(Order.STOP)
         assert rig.ended() == 1

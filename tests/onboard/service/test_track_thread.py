@@ -58,7 +58,7 @@ def test_a_click_is_answered_at_once_and_reported_twice_a_second() -> None:
     assert 5 <= len(simulated.sent) <= 7  # three seconds
     (report,) = decode_tracks(simulated.sent[-1], "uav-1")
     assert len(simulated.sent[-1]) <= MAX_TRACK_BYTES and report.state is TrackState.FOLLOWED
-    assert report.course is not None and abs(report.course.speed_m_s - 4.0) < 0.4
+    assert abs(report.course.speed_m_s - 4.0) < 0.4
     assert simulated.ask("") == ({"tracks": [1]}, False)
     assert simulated.ask("stop=1") == ({"tracks": []}, False)
     reported = len(simulated.sent)

@@ -40,7 +40,7 @@ def test_the_daemon_follows_unless_configured_not_to(tmp_path: Path, is_on: bool
             "tracks": {"enabled": is_on},
         }
     )
-    parts = open_parts(config, open_camera=lambda *_: PlayedSource(SessionClock.start(), [], Work()))  # type: ignore[arg-type]
+    parts = open_parts(config, open_camera=lambda *_: PlayedSource(SessionClock.start(), [], Work()))
     with parts.resources:
         assert ("tracks" in [thread.name for thread in parts.threads]) == is_on
         assert any(isinstance(sink, TrackThread) for sink in parts.sinks) == is_on

@@ -47,7 +47,6 @@ def test_the_outline_of_a_thing_in_a_picture_gives_its_area_on_both_sides_of_the
         part = about_peak(c.excess, tuple(peaks(c, 10.0, 1)[0]), 8, 1.0)
         assert part is not None
         region = region_of(c, part, 10.0)
-        assert region is not None
         x, y = region.outline_px.T
         seen = 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
         found.append(unblurred(seen, region.blur_px) / (0.25 * np.pi * across_px**2))

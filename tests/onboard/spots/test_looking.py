@@ -69,7 +69,7 @@ def test_a_person_is_found_where_the_second_camera_saw_it_and_shown_where_the_fi
     for report, frame in zip(reports, pictures, strict=True):
         assert report.capture_unix_ns == frame.stamp_ns and report.is_calibrated
         for spot in report.spots:
-            assert spot.place is not None and spot.above_ground_k == pytest.approx(8.0, abs=2.0)
+            assert spot.above_ground_k == pytest.approx(8.0, abs=2.0)
             place = ORIGIN.to_enu(spot.place.lat_deg, spot.place.lon_deg, ORIGIN.height_m)[:2]
             assert np.hypot(*(place - PERSON)) < 0.5
             shown = TURN.pixel(report.frame / 5.0, np.eye(3), np.array([*PERSON, 0.0]), VISIBLE)
@@ -101,7 +101,6 @@ def test_an_error_of_the_stated_angles_is_in_the_ellipse(pictures: list[Frame]) 
         for k in range(12):
             found += [report for look in book.feature_set(TURN.first_set(k)) if (report := look()) is not None]
         (spot,) = found[-1].spots
-        assert spot.place is not None
         return spot.place.ellipse.semi_major_m
 
     # 2 degrees at 92 m are 3.2 m, of which the ellipse holds 90 %
@@ -143,7 +142,7 @@ def test_what_is_seen_from_two_sides_teaches_how_the_second_camera_sits(caplog: 
     before = Mount.stated(stated).covariance
     assert book.mount.covariance[1, 1] < 0.25 * before[1, 1]  # across: opposite on the way back
     reported = re.search(r"by 2 things on the ground: roll_deg .* yaw_deg ([0-9.]+) \(\+-", caplog.text)
-    assert reported is not None and abs(float(reported[1]) - 2.0) < 0.8
+    assert abs(float(reported[1]) - 2.0) < 0.8
     left = book.mount.R_first_second.T @ true
     assert abs(np.degrees(left[0, 2])) < 0.8
 

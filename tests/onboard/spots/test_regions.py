@@ -41,7 +41,6 @@ def test_a_pixels_ground_is_what_clicks_next_to_it_say(tilt_deg: float) -> None:
 def test_what_shows_no_ground_counts_for_none() -> None:
     flat = Scene(ThermalSpec(), tilt_deg=80.0).pose(0)
     scale = ground_scale(set_of(BOSON, flat, 0), (24, 32))
-    assert scale is not None
     assert not scale.is_ground[:6].any() and scale.is_ground[-6:].all()
     assert ground_scale(set_of(BOSON, flat, 0, Status.TURNING), (24, 32)) is None
     up = Pose(np.array([0.0, 0.0, 100.0]), np.eye(3))
@@ -58,7 +57,6 @@ def test_the_middle_and_size_of_a_thing_are_found_below_a_pixel() -> None:
     part = about_peak(c.excess, tuple(peak[0]), 8, 4.0)
     assert part is not None
     region = region_of(c, part, 30.0)
-    assert region is not None
     assert region.uv_px == pytest.approx([201.75, 102.5], abs=0.25)
     assert outline_px2(region.outline_px) == pytest.approx(27.0, rel=0.25)
     assert region.hottest == pytest.approx(298.0, abs=0.5) and region.above == pytest.approx(8.0, abs=0.5)
@@ -74,7 +72,6 @@ def test_a_large_thing_is_as_large_in_a_coarser_picture() -> None:
     part = about_peak(c.excess, tuple(peak), 5, 2.0)
     assert part is not None
     region = region_of(c, part, 9.0)
-    assert region is not None
     assert region.uv_px == pytest.approx([119.5, 94.5], abs=0.25 * c.times)
     assert outline_px2(region.outline_px) == pytest.approx(1200.0, rel=0.25)
 
@@ -94,7 +91,7 @@ def test_a_thing_at_the_edge_is_reported_to_be_cut() -> None:
     part = about_peak(c.excess, tuple(peaks(c, 10.0, 1)[0]), 8, 4.0)
     assert part is not None
     region = region_of(c, part, 9.0)
-    assert region is not None and region.is_cut
+    assert region.is_cut
     assert region.outline_px[:, 0].max() <= 319.5
 
 

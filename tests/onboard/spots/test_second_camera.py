@@ -47,8 +47,7 @@ def fix_of(s: FeatureSet, uv_px: Array, root: Array | None = None) -> Fix:
 
 def place_m(s: FeatureSet, fix: Fix) -> Array:
     """East, north, up of the scene's origin."""
-    out: Array = ORIGIN.to_enu(fix.lat_deg, fix.lon_deg, float(fix.height_amsl_m or 0.0))
-    return out
+    return ORIGIN.to_enu(fix.lat_deg, fix.lon_deg, float(fix.height_amsl_m or 0.0))
 
 
 def turned(mount: Mount, state: Array) -> Mount:
@@ -84,7 +83,6 @@ def test_how_the_mount_moves_a_spot_is_what_finite_differences_say(place: Array)
     s, pointing = second(mount)
     uv = TURN.pixel(NOW_S, mount.R_first_second, place)
     parts = Locator(s).error_parts(uv)
-    assert parts is not None
     stated = parts.by_pixel_m @ pointing.by_state(uv)
     for k, step in enumerate((1e-3, 1e-3, 1e-3, 1e-2)):
         state = np.eye(STATES)[k] * step
@@ -182,7 +180,7 @@ def test_pictures_wait_for_the_set_after_them_and_each_is_given_once() -> None:
     times = [(one.frame.stamp_ns - thermal_frame(0.0).stamp_ns) / 1e9 for one in given]
     assert len(times) == 8 and all(0.45 < b - a < 0.65 for a, b in pairwise(times))
     for one in given:
-        assert one.after is not None and one.after.frame == one.before.frame + 1
+        assert one.after.frame == one.before.frame + 1
         assert one.before.capture_unix_ns <= one.frame.stamp_ns < one.after.capture_unix_ns
     assert len({one.nearest.frame for one in given}) == len(given)
 

@@ -80,11 +80,10 @@ def test_a_pixels_fault_stays_on_the_picture_and_is_no_spot() -> None:
     scene, book = Scene(replace(CALM, sources=())), SpotBook("uav-1", SpotsConfig(), CALIBRATED)
     for k in range(5):
         frame, its_set = scene.picture(k)
-        assert frame.counts is not None
         counts = frame.counts.copy()
         counts[200:204, 300:304] += 2000  # where the ground passes by, 5 m from picture to picture
         report = book.picture(replace(frame, counts=counts), its_set)
-        assert report is not None and not report.spots
+        assert not report.spots
 
 
 def test_what_is_in_one_picture_alone_is_not_reported() -> None:
@@ -92,7 +91,7 @@ def test_what_is_in_one_picture_alone_is_not_reported() -> None:
     book = SpotBook("uav-1", SpotsConfig(), CALIBRATED)
     for k in range(8):
         report = book.picture(*(people if k % 4 == 2 else empty).picture(k))
-        assert report is not None and not report.spots
+        assert not report.spots
 
 
 def test_a_team_at_take_off_hides_no_one_farther_on() -> None:
@@ -112,7 +111,7 @@ def test_without_a_place_a_spot_says_why_in_the_words_of_a_click() -> None:
     for k in range(3):
         book.picture(*scene.picture(k))
     report = book.picture(*scene.picture(3, Status.TURNING))
-    assert report is not None and len(report.spots) == 2
+    assert len(report.spots) == 2
     assert all(s.place is None and s.status is Status.TURNING and not s.outline_en_m for s in report.spots)
     assert (report.picture_share, report.session_share) == (0.0, 0.0)
 
@@ -133,7 +132,7 @@ def test_another_session_begins_again_and_pictures_without_counts_are_passed_ove
     frame, its_set = scene.picture(2)
     assert book.picture(replace(frame, counts=None), its_set) is None
     report = book.picture(frame, replace(its_set, session=8))
-    assert report is not None and not report.spots  # once in this session
+    assert not report.spots  # once in this session
 
 
 class _Net:

@@ -56,7 +56,6 @@ def labelled(folder: Path) -> list[Labelled]:
                 [float(box.findtext(side, "")) for side in ("xmin", "ymin", "xmax", "ymax")]
             )
         picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-        assert picture is not None
         out.append(Labelled(path.stem, picture.astype(np.uint16), {k: np.array(b) for k, b in boxes.items()}))
     return out
 
@@ -89,8 +88,7 @@ def report_of(picture: Labelled, config: SpotsConfig) -> SpotReport:
 
 def is_at(boxes: NDArray[np.float64], u: float, v: float, about_px: float = 4.0) -> NDArray[np.bool_]:
     low, high = boxes.reshape(-1, 4)[:, :2] - about_px, boxes.reshape(-1, 4)[:, 2:] + about_px
-    out: NDArray[np.bool_] = ((low <= (u, v)) & ((u, v) <= high)).all(axis=1)
-    return out
+    return ((low <= (u, v)) & ((u, v) <= high)).all(axis=1)
 
 
 def test_most_people_have_a_peak_and_little_else_has_one_as_high(pictures: list[Labelled]) -> None:

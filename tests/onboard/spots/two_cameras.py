@@ -64,8 +64,7 @@ class Turn:
         s = replace(set_of(camera, pose, 0), R_enu_cam=pose.R_enu_cam @ R_first_second)
         uv, ahead = pixels_of(s, (place_m - pose.centre_m)[None])
         assert ahead.all()
-        out: Array = uv[0]
-        return out
+        return uv[0]
 
 
 def thermal_frame(time_s: float, index: int = 0) -> Frame:

@@ -183,7 +183,7 @@ def test_a_replay_says_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
             recorder.write_event(event, arrival_ns)
 
         def feature_set(self, output: object) -> None:
-            recorder.write_set(output)  # type: ignore[arg-type]
+            recorder.write_set(output)
 
     replay(flight(config), Pipeline(config, CAMERA), [Sink()])
     content = path.read_bytes()

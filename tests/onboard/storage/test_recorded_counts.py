@@ -33,7 +33,7 @@ def recorded(path: Path, frames: list[Frame], pictures: str) -> list[Frame]:
 def test_lossless_recordings_give_every_count_back(tmp_path: Path, deep: bool) -> None:
     frames = [frame(index, deep) for index in range(5)]
     for back, one in zip(recorded(tmp_path / "a.mcap", frames, "lossless"), frames, strict=True):
-        assert back.image is not None and back.counts is not None and back.counts.dtype == np.uint16
+        assert back.image is not None and back.counts.dtype == np.uint16
         np.testing.assert_array_equal(back.image, one.image)
         np.testing.assert_array_equal(back.counts, one.counts)
 

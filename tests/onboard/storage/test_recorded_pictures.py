@@ -53,10 +53,10 @@ def measured(pictures: RecordedPictures, uv: tuple[float, float], questions: Que
 def test_the_answer_is_the_aircraft_s_own_where_pictures_are_lossless(tmp_path: Path) -> None:
     pictures = opened(recorded(tmp_path / "a.mcap"))
     clicked, others = pictures.placed(5, CLICKED)
-    assert clicked is not None and clicked.its_set.revision == 1 and len(others) == len(pictures) - 1 == 8
+    assert clicked.its_set.revision == 1 and len(others) == len(pictures) - 1 == 8
     rest = [Kept(WORLD.image(one.its_set.frame), one.its_set) for one in others]
     live = Questions().measured_set(clicked.its_set, ROOF, Kept(WORLD.image(CLICKED), clicked.its_set), rest)
-    assert measured(pictures, ROOF) == live.clicked and live.clicked is not None and live.clicked.is_measured
+    assert measured(pictures, ROOF) == live.clicked and live.clicked.is_measured
 
 
 @pytest.mark.parametrize("kind", ["lossless", "jpeg"])

@@ -38,7 +38,7 @@ def test_a_disk_slower_than_a_moment_loses_nothing(tmp_path: Path, monkeypatch: 
 
     def write_set(self: SessionRecorder, *given: object) -> None:
         time.sleep(0.01)
-        slow(self, *given)  # type: ignore[arg-type]
+        slow(self, *given)
 
     monkeypatch.setattr(SessionRecorder, "write_set", write_set)
     base = plain_set(20)
@@ -71,7 +71,7 @@ class Stalled:
         def write_set(recorder: SessionRecorder, *given: object) -> None:
             self.is_in_a_write.set()
             self.release.wait(30.0)
-            write(recorder, *given)  # type: ignore[arg-type]
+            write(recorder, *given)
 
         monkeypatch.setattr(SessionRecorder, "write_set", write_set)
 
@@ -178,7 +178,7 @@ def test_an_unforeseen_error_of_the_writer_is_a_fault_and_recording_goes_on(
     def write_set(self: SessionRecorder, *given: object) -> None:
         if is_broken.is_set():
             raise error
-        writes(self, *given)  # type: ignore[arg-type]
+        writes(self, *given)
 
     monkeypatch.setattr(SessionRecorder, "write_set", write_set)
     sink.feature_set(plain_set(20))
@@ -232,13 +232,13 @@ def test_a_disk_that_fails_again_and_again_is_reported_once_a_minute_and_tried_e
         if taken.get(self.path, 0) >= 3:
             raise InputError(f"recording {self.path}: File too large")
         taken[self.path] = taken.get(self.path, 0) + 1
-        writes(self, *given)  # type: ignore[arg-type]
+        writes(self, *given)
 
     monkeypatch.setattr(SessionRecorder, "write_set", write_set)
-    sink = Recorded(tmp_path, configured("none", keep_free_mb=1.0), CAMERA, clock, "", free=Disk())  # type: ignore[arg-type]
+    sink = Recorded(tmp_path, configured("none", keep_free_mb=1.0), CAMERA, clock, "", free=Disk())
     for second in range(240):
         clock.s += 1.0
-        sink._work(Entry("sets", clock.now_ns(), 0, lambda f, n=second: f.write_set(base, None)))  # type: ignore[misc]
+        sink._work(Entry("sets", clock.now_ns(), 0, lambda f, n=second: f.write_set(base, None)))
     stops = [r for r in caplog.records if "recording stops until there is room" in r.message]
     goes_on = [r for r in caplog.records if "recording again" in r.message]
     assert 2 <= len(stops) <= 4  # of a minute each

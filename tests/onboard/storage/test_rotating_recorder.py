@@ -64,7 +64,7 @@ def flight(config: Config) -> Flight:
 
 
 def recorder(folder: Path, config: Config, **options: object) -> Recorded:
-    return Recorded(folder, config, CAMERA, SessionClock.start(), to_toml(config), **options)  # type: ignore[arg-type]
+    return Recorded(folder, config, CAMERA, SessionClock.start(), to_toml(config), **options)
 
 
 @pytest.fixture(scope="module")
@@ -172,7 +172,6 @@ def test_any_mcap_reader_opens_every_part_and_finds_the_status(session: Path) ->
         with path.open("rb") as stream:
             reader = make_reader(stream)
             summary = reader.get_summary()
-            assert summary is not None and summary.statistics is not None
             assert sum(1 for _ in reader.iter_messages()) == summary.statistics.message_count
             topics |= {channel.topic for channel in summary.channels.values()}
             (metadata,) = reader.iter_metadata()
@@ -312,7 +311,7 @@ def test_a_disk_that_is_full_all_the_same_is_a_fault_and_not_the_end(
     def write_set(self: SessionRecorder, *given: object) -> None:
         if is_full.is_set():
             raise InputError(f"recording {self.path}: No space left on device")
-        writes(self, *given)  # type: ignore[arg-type]
+        writes(self, *given)
 
     monkeypatch.setattr(SessionRecorder, "write_set", write_set)
     sink.feature_set(plain_set(20))
@@ -379,7 +378,6 @@ def test_a_killed_process_loses_at_most_the_last_second(tmp_path: Path) -> None:
     command = [sys.executable, "-c", script, str(tmp_path)]
     handed_s: dict[tuple[int, int], float] = {}
     with subprocess.Popen(command, stdout=subprocess.PIPE, cwd=ROOT, text=True) as process:
-        assert process.stdout is not None
         # By the process's own word: a second for which the whole machine stood still gave it no chance to write.
         for line in process.stdout:
             at_s, *key = line.split()

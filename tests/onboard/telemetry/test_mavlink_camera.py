@@ -103,7 +103,6 @@ def test_where_it_looks_is_the_newest_pictures_pose() -> None:
         fov = client.wait("CAMERA_FOV_STATUS", client.request(271)[1])
         assert client.request(269)[0].result == DENIED  # no stream is configured
         expected = locate(SETS[-1], (159.5, 119.5))
-        assert isinstance(expected, Fix)
         assert np.allclose([fov.lat_image, fov.lon_image], [expected.lat_deg * 1e7, expected.lon_deg * 1e7], atol=1.0)
         assert abs(fov.alt_camera / 1e3 - SETS[-1].camera_height_m) < 0.001
         hfov_deg = 2.0 * math.degrees(math.atan(0.5 * CAMERA.width_px / CAMERA.fx_px))
@@ -265,7 +264,7 @@ def test_a_stop_cancels_the_clicks_that_are_under_way() -> None:
     virtual.send(mavlink.MAVLink_command_long_message(1, 100, 2010, 0, 0, 0, 0, 0, 0, 0, 0))
     assert [(m.command, m.result) for m in virtual.due()] == [(2004, 6), (2010, ACCEPTED)]
     assert virtual.end.stopped == 1 and isinstance(FIX, Fix)
-    virtual.end.answers = lambda: [Clicked(1, FIX)]  # type: ignore[method-assign]
+    virtual.end.answers = lambda: [Clicked(1, FIX)]
     assert not virtual.due()  # an answer that comes later is none any more
     virtual.send(mavlink.MAVLink_command_long_message(1, 100, 512, 0, 276, 0, 0, 0, 0, 0, 0))
     assert [m.result for m in virtual.due()] == [BUSY]
@@ -319,7 +318,7 @@ def test_intervals_are_kept_and_ended_as_asked() -> None:
 
 def test_views_in_intervals_wait_for_one_another_and_leave_the_queue_to_clicks() -> None:
     virtual = Virtual(None)
-    virtual.end.answers = lambda: []  # type: ignore[method-assign]
+    virtual.end.answers = lambda: []
     virtual.send(mavlink.MAVLink_command_long_message(1, 100, 511, 0, 271, 1e5, 0, 0, 0, 0, 0))
     for step in range(1, 30):
         virtual.now_s = 0.1 * step

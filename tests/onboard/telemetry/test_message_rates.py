@@ -126,18 +126,12 @@ def test_old_autopilots_are_asked_for_streams(answer: Answer) -> None:
     assert len(played.asked) <= 3
 
 
-def test_a_busy_autopilot_is_asked_again() -> None:
-    patience = iter([BUSY, BUSY])
-    played = Played(lambda name, hz: next(patience, ACCEPTED))
-    played.fly(6.0)
-    assert played.sends_hz["ATTITUDE"] == 50.0
-
-
-def test_a_lost_acknowledgement_is_got_over() -> None:
-    lost = iter([None, None])
-    played = Played(lambda name, hz: next(lost, ACCEPTED))
+@pytest.mark.parametrize("first", [BUSY, None], ids=["busy", "lost"])
+def test_a_busy_autopilot_is_asked_again_and_a_lost_acknowledgement_is_got_over(first: int | None) -> None:
+    answers = iter([first, first])
+    played = Played(lambda name, hz: next(answers, ACCEPTED))
     played.fly(8.0)
-    assert len(played.sends_hz) == 5
+    assert played.sends_hz["ATTITUDE"] == 50.0 and len(played.sends_hz) == 5
     assert not played.streams
 
 
@@ -149,7 +143,7 @@ def test_a_message_that_stops_coming_is_asked_for_again_but_ever_less_often() ->
     del played.sends_hz["GLOBAL_POSITION_INT"]
     played.fly(5.0)
     assert played.asked[before:][0] == ("GLOBAL_POSITION_INT", 10.0)
-    played.receive = lambda message: played.requests.acknowledged(COMMAND, ACCEPTED, played.now_ns)  # type: ignore[method-assign]
+    played.receive = lambda message: played.requests.acknowledged(COMMAND, ACCEPTED, played.now_ns)
     del played.sends_hz["ATTITUDE"]
     played.fly(10.0)
     assert played.requests.complaint() == "no ATTITUDE"
@@ -164,7 +158,7 @@ def test_how_often_a_grant_that_is_not_kept_is_claimed() -> None:
         asked.append(played.now_ns)
         played.requests.acknowledged(COMMAND, ACCEPTED, played.now_ns)
 
-    played.receive = accept  # type: ignore[method-assign]
+    played.receive = accept
     played.sends_hz["ATTITUDE"] = 4.0
     played.fly(300.0)
     assert 4 <= len(asked) <= 12

@@ -44,7 +44,6 @@ def test_sentences_become_a_position_and_its_quality() -> None:
     assert fix.lat_deg == pytest.approx(-43.38, abs=1e-7)
     assert fix.lon_deg == pytest.approx(172.4, abs=1e-7)
     assert fix.height_amsl_m == 350.2
-    assert fix.velocity_ned_m_s is not None
     assert fix.velocity_ned_m_s[:2] == pytest.approx((0.0, 10.0), abs=1e-3)
     assert math.isnan(fix.velocity_ned_m_s[2])
     assert quality == GpsQuality(

@@ -182,7 +182,7 @@ def test_a_silent_gimbal_degrades_telemetry_that_is_well() -> None:
             return SourceStatus(State.OK, "", {"position_hz": 10.0})
 
     gimbal = SiyiGimbal(SessionClock.start(), siyi_address("siyi:127.0.0.1:9"), 0.4)
-    health = WithGimbal(Well(), gimbal).health()  # type: ignore[arg-type]
+    health = WithGimbal(Well(), gimbal).health()
     assert health.state is State.DEGRADED and health.detail == "the gimbal has not answered yet"
     assert health.figures["position_hz"] == 10.0 and health.figures["gimbal_damaged"] == 0.0
 

@@ -148,10 +148,9 @@ def test_the_stated_height_above_the_sea_covers_a_take_off_at_minus_130_m(shared
     """Both were recorded from a field in the Netherlands, 1 m above the sea, on a day of high pressure."""
     log = read_log(shared_data / "logs" / name)
     fix = next(event for event in log.events if isinstance(event, PositionFix))
-    assert fix.height_above_home_m is not None
     error_m = fix.height_amsl_m - fix.height_above_home_m - 1.0
     sigma_m = claim(log).sigma_datum_m
-    assert sigma_m is not None and abs(error_m) < 1.645 * sigma_m < 200.0
+    assert abs(error_m) < 1.645 * sigma_m < 200.0
     assert any("--home-amsl-m" in note for note in log.notes)
     known = read_log(shared_data / "logs" / name, ReadOptions(home_amsl_m=1.0))
     assert claim(known).sigma_datum_m is None and not any("--home-amsl-m" in note for note in known.notes)

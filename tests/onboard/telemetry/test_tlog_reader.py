@@ -89,7 +89,7 @@ def test_messages_become_events_in_si_units_on_the_log_s_clock(tmp_path: Path) -
     fix, q, a = of(log, PositionFix)[10], of(log, GpsQuality)[10], of(log, Attitude)[10]
     stamp = (T0_US + 1_010_000) * 1000  # boot time 1 s in, plus the delay every message had
     assert fix == PositionFix(stamp, -43.38, 172.4, 350.0, (19.0, -1.0, 0.5), 250.0)
-    assert q.fix is not None and q.fix.velocity_ned_m_s == pytest.approx((0.0, 20.0, math.nan), abs=1e-9, nan_ok=True)
+    assert q.fix.velocity_ned_m_s == pytest.approx((0.0, 20.0, math.nan), abs=1e-9, nan_ok=True)
     assert q.fix == PositionFix(stamp, -43.38, 172.4, 350.0, q.fix.velocity_ned_m_s)
     assert q == GpsQuality(stamp, 3, 10, 0.3, 0.4, None, 10.5, fix=q.fix)
     assert a.stamp_ns == stamp

@@ -63,7 +63,7 @@ def test_what_moves_is_given_its_speed_and_course(speed: float, is_flying: bool)
     last = reported[1][74]
     assert last.state is TrackState.FOLLOWED and off_px(world, walker, reported[1]) < 2.5
     c = last.course
-    assert c is not None and c.course_deg is not None and c.sigma_course_deg is not None
+    assert c.course_deg is not None and c.sigma_course_deg is not None
     assert abs(c.speed_m_s - speed) < min(0.3, 3.0 * c.sigma_speed_m_s) and 0.005 < c.sigma_speed_m_s < 0.5
     assert abs(c.course_deg - 70.0) < 8.0 and c.sigma_course_deg < 12.0
 
@@ -73,7 +73,7 @@ def test_its_place_is_off_by_what_the_pose_is_off_and_its_speed_is_not() -> None
     world = World((car,))
     _, reported = fly(world, range(60), {1: car}, clicked=15)
     last = reported[1][59]
-    assert last.place is not None and last.course is not None
+    assert last.course is not None
     off = PLACE.to_enu(last.place.lat_deg, last.place.lon_deg, 100.0)[:2] - car.place(5.9)
     assert np.abs(off - [0.8, -0.5]).max() < 0.3  # as `World.its_set` has it
     assert last.place.ellipse.semi_major_m == pytest.approx(math.sqrt(CHI2_2), rel=0.1)
@@ -202,7 +202,7 @@ def test_who_steps_from_dark_on_bright_ground_is_followed_on(seed: int) -> None:
     assert len(seen) > 0.6 * len(after) and off_px(world, runner, seen) < 2.0
     assert not any(r.state is TrackState.LOST for r in after.values())
     course = reported[1][61].course
-    assert course is not None and abs(course.speed_m_s - 3.0) < 3.0 * course.sigma_speed_m_s < 0.9
+    assert abs(course.speed_m_s - 3.0) < 3.0 * course.sigma_speed_m_s < 0.9
 
 
 @pytest.mark.parametrize("east_m", rest_long([26.0, 20.0]))
@@ -246,7 +246,6 @@ def test_a_thing_that_hides_is_reported_to_coast_within_a_second_and_is_found_ag
     last = reported[1][84]
     assert np.hypot(*(world.pixel(walker, 84) - (last.u_px, last.v_px))) < 1.5
     ellipses = [reported[1][n].place for n in (39, hidden[-1])]
-    assert ellipses[0] is not None and ellipses[1] is not None
     assert ellipses[1].ellipse.semi_major_m > ellipses[0].ellipse.semi_major_m
 
 
@@ -269,7 +268,7 @@ def test_a_click_near_the_edge_is_followed_like_any_other(edge_px: float) -> Non
     _, reported = fly(world, range(50), {1: small}, clicked=18)
     last = reported[1][49]
     assert last.state is TrackState.FOLLOWED and off_px(world, small, reported[1]) < 1.5
-    assert last.course is not None and abs(last.course.speed_m_s - 3.0) < 0.3
+    assert abs(last.course.speed_m_s - 3.0) < 0.3
 
 
 def test_what_leaves_the_picture_is_reported_to_have_left_it() -> None:
@@ -336,7 +335,7 @@ def test_where_pictures_stop_its_place_goes_on_its_ellipse_grows_and_after_two_s
     off = PLACE.to_enu(report.place.lat_deg, report.place.lon_deg, 100.0)[:2] - car.place(3.9 + 1.6)
     assert np.abs(off - [0.8, -0.5]).max() < 0.5
     assert 1.0 < report.place.ellipse.semi_major_m - last.place.ellipse.semi_major_m < 10.0
-    assert last.course is not None and report.course is not None
+    assert last.course is not None
     assert report.course.sigma_speed_m_s > 2.0 > 5.0 * last.course.sigma_speed_m_s  # it may have stopped
     (lost,) = book.reports(50.0)
     assert (lost.state, lost.place, lost.course, lost.seen_unix_ns) == (

@@ -60,7 +60,7 @@ def test_a_mask_is_black_where_something_is_burned_in(tmp_path: Path) -> None:
     mask = np.full((48, 64), 255, np.uint8)
     mask[:10, :20] = 0
     burned_in = read_mask(write(tmp_path / "mask.png", mask), (64, 48))
-    assert burned_in is not None and burned_in.dtype == bool
+    assert burned_in.dtype == bool
     np.testing.assert_array_equal(burned_in, mask == 0)
     assert read_mask(None, (64, 48)) is None
 

@@ -40,7 +40,7 @@ def features(picture: Picture) -> np.ndarray:
 def test_rows_repeat_at_their_spacing(period_px: float) -> None:
     found = repetition_px(prepare(rows(period_px)), features(rows(period_px)))
     # The near edge of the twin's peak is taken, so a little less than the period.
-    assert found is not None and 0.6 * period_px < found < 1.1 * period_px
+    assert 0.6 * period_px < found < 1.1 * period_px
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
