@@ -95,7 +95,7 @@ def test_a_report_states_how_long_ago_each_of_the_latest_packets_came() -> None:
             taken(assembly, encode_piece(SetPiece(number, number % 256, 0, 1, 5, b"12345")), at_s)
     packet = encode_report(assembly.report(8.1))
     read = read_report(packet)
-    assert len(packet) == 13 and read is not None
+    assert len(packet) == 13
     expected = {2: 2.6, 3: 2.1, 4: 2.08, 6: 1.1, 7: 1.1, 8: 0.6, 9: 0.1}  # of the last eight
     assert read.came_s == pytest.approx(expected, abs=0.011)
     later = read_report(encode_report(assembly.report(12.55)))

@@ -59,7 +59,6 @@ def test_a_moment_that_is_known_gives_the_place_of_then_also_between_two_picture
 
 def test_nine_of_ten_clicks_are_inside_whatever_the_delay_was_and_the_ellipse_is_no_wider_than_it() -> None:
     found = clicked(3.0)
-    assert isinstance(found.answer, Fix)
     rng = np.random.default_rng(1)
     # Each with a delay and a pose of its own: those of its sets are taken off.
     errors = np.array([error_m(found, 3.0 + rng.normal(0.0, SIGMA_S)) for _ in range(2000)])

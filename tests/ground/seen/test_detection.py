@@ -49,7 +49,6 @@ def machine(shares: Sequence[float | None], at_s: Sequence[float] | None = None,
     """Stated, lowest, highest at PLACE after looks that would show a person with these probabilities."""
     sets = [level_set(k, at_s=None if at_s is None else at_s[k], **about) for k in range(len(shares))]
     shown, by = searched(sets, [report_of(s, share) for s, share in zip(sets, shares, strict=True)])
-    assert by.machine is not None
     row, column = shown.cells.at(PLACE.lat_deg, PLACE.lon_deg)
     return [float(p) for p in by.machine[:, int(row) - shown.row0, int(column) - shown.column0]]
 

@@ -36,7 +36,6 @@ def scale_error(scene: Scene) -> tuple[float, float]:
     window = scene.window()
     assert window.solve() is Status.OK
     s = window.solved
-    assert s is not None
     k = scene.keys[-1]
     points, truth = s.solution.state.points_enu_m[s.good], scene.points_enu_m[s.point_ids[s.good]]
     height = scene.centres_enu_m[k, 2] - truth[:, 2]

@@ -51,7 +51,6 @@ def solved(seed: int, problem: Problem) -> Solution:
 def test_how_often_each_picture_swings_is_found_in_what_poses_leave(seed: int) -> None:
     problem, _, waves = vibrating(seed, 1.5)
     found = row_waves.seen(problem, solved(seed, problem))
-    assert found is not None
     strong = np.hypot(waves[:, 0], waves[:, 3]) + np.hypot(waves[:, 1], waves[:, 4]) > 2.0 / CAMERA.focal_px
     assert np.count_nonzero(strong) >= 5
     np.testing.assert_allclose(found.cycles[strong], CYCLES[strong], atol=0.4)

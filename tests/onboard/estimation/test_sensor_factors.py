@@ -248,7 +248,6 @@ def in_a_turn(keyframes: list[Keyframe], course_rad_s: float, yaw_rad_s: float) 
     """The same keyframes with velocities that turn, of a vehicle that itself turns about the vertical."""
     out = []
     for k in keyframes:
-        assert k.nav.R_enu_body is not None
         angle = course_rad_s * (k.nav.stamp_ns - keyframes[0].nav.stamp_ns) / 1e9
         nav = replace(k.nav, velocity_enu_m_s=20.0 * np.array([np.cos(angle), np.sin(angle), 0.0]))
         rate = k.nav.R_enu_body.T @ np.array([0.0, 0.0, yaw_rad_s])
@@ -274,7 +273,6 @@ def test_a_course_that_shakes_to_and_fro_is_no_turn(scene: Scene) -> None:
     keyframes = keyframes_of(scene)
     level, out = heading_sigma_deg(in_a_turn(keyframes, 0.0, 0.0)), []
     for number, k in enumerate(keyframes):
-        assert k.nav.R_enu_body is not None
         angle = 0.05 * (-1.0) ** number
         nav = replace(k.nav, velocity_enu_m_s=20.0 * np.array([np.cos(angle), np.sin(angle), 0.0]))
         rate = k.nav.R_enu_body.T @ np.array([0.0, 0.0, 4.0 * angle])

@@ -66,7 +66,6 @@ def test_variances_that_are_too_small_are_given_back_what_they_lack(seed: int) -
     narrowed = replace(outcome.solved.solution)
     narrowed.__dict__["covariance"] = 0.25 * outcome.solved.solution.covariance
     again = by_profile(request.keyframes, replace(outcome, solved=replace(outcome.solved, solution=narrowed)))[0].solved
-    assert again is not None
     assert 1.0 <= true.variance_factor < 1.7
     assert 0.75 < again.variance_factor / (4.0 * true.variance_factor) < 1.33
 

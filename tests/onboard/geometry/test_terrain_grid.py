@@ -129,7 +129,6 @@ def test_a_file_gives_its_heights_in_the_frames_axes(
     name: str, tolerance_m: float, request: pytest.FixtureRequest
 ) -> None:
     terrain = TerrainFiles(request.getfixturevalue(name)).around(FRAME, CENTRE, 800.0, 40.0, 11.0)
-    assert terrain is not None
     places = np.random.default_rng(2).uniform(-700.0, 400.0, (200, 2))
     height, _ = terrain.height_and_slope(places)
     known = np.isfinite(height)
@@ -141,7 +140,6 @@ def test_a_file_gives_its_heights_in_the_frames_axes(
 
 def test_a_void_has_no_height(srtm: Path) -> None:
     terrain = TerrainFiles(srtm).around(FRAME, CENTRE, 3000.0, 30.0, 11.0)
-    assert terrain is not None
     void = FRAME.to_enu(-43.0 - 602.0 / 1200.0, 172.0 + 622.0 / 1200.0, 0.0)[:2]
     beside = FRAME.to_enu(-43.0 - 590.0 / 1200.0, 172.0 + 622.0 / 1200.0, 0.0)[:2]
     height, _ = terrain.height_and_slope(np.stack([void, beside]))

@@ -73,7 +73,7 @@ def test_the_height_between_two_clicks_is_right_within_its_sigma_and_leaves_out_
             one, two = (Locator(questions.measured_set(clicked.its_set, uv, clicked, rest)) for uv in ends)
             answers = one.locate(ends[0]), two.locate(ends[1])
             apart = one.difference_covariance(*ends, second=two)
-            assert apart is not None and all(isinstance(a, Fix) and a.method == "measured" for a in answers)
+            assert all(isinstance(a, Fix) and a.method == "measured" for a in answers)
             truth = np.diff(world.depths(CLICKED, np.array(ends))[1], axis=0)[0]
             found = np.diff([a.offset_enu_m for a in answers if isinstance(a, Fix)], axis=0)[0]
             sigmas.append(float(np.sqrt(apart[2, 2])))

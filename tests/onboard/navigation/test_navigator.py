@@ -106,7 +106,6 @@ def test_attitude_turns_through_north_the_short_way() -> None:
     navigation = flown(rate_hz=2.0)
     for t in np.arange(1.0, 29.0, 0.31):
         R = state(navigation, t).R_enu_body
-        assert R is not None
         expected = R_ENU_NED @ matrix_from_euler(0.3, 0.1, np.pi / 2 - 0.2 * t)
         assert np.degrees(np.linalg.norm(log_so3(R.T @ expected))) < 0.01
 
@@ -406,7 +405,6 @@ def ranged(config: Config = RANGED, distances_m: tuple[float, ...] = (100.0, 102
 
 def test_a_range_becomes_a_vector_to_the_ground_along_the_vehicles_own_down() -> None:
     state = ranged().state_at(ns(1.1))
-    assert state.R_enu_body is not None
     np.testing.assert_allclose(state.ground_range.vector_enu_m, 101.0 * state.R_enu_body[:, 2], atol=1e-6)
     assert state.ground_range.sigma_m == pytest.approx(np.hypot(0.5 + 1.01, 1.0))
 

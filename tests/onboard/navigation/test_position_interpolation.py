@@ -32,7 +32,7 @@ def off_and_stated(path: Trajectory, known: Path, moments: np.ndarray) -> tuple[
     off, stated = [], []
     for t in moments:
         place, displacement = known.at(ns(t)), known.displacement(ns(t - STEP_S), ns(t))
-        assert isinstance(place, Position) and displacement is not None
+        assert isinstance(place, Position)
         true = [path.position_enu_m(t), path.position_enu_m(t) - path.position_enu_m(t - STEP_S)]
         off.append([np.linalg.norm((a - b)[:2]) for a, b in zip((place.enu_m, displacement.enu_m), true, strict=True)])
         by_gap = np.array(list(displacement.between_m.values()))
@@ -69,7 +69,7 @@ def test_past_the_last_position_the_height_above_home_climbs_with_the_place() ->
         )
     for t in (0.1, 0.2, 0.5):
         place = climbing.at(ns(t))
-        assert isinstance(place, Position) and place.height_above_home_m is not None
+        assert place.height_above_home_m is not None
         assert place.enu_m[2] == pytest.approx(500.0 + 5.0 * t)
         assert place.height_above_home_m == pytest.approx(40.0 + 5.0 * t), "home stays where it is"
 

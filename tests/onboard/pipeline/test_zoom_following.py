@@ -104,7 +104,6 @@ def test_the_first_report_counts_where_it_is_another_than_the_file() -> None:
 def test_a_step_is_an_error_of_any_size_within_it() -> None:
     for position, step in ((2.0, 0.1), (6.0, 0.1)):
         stands = fed((0.0, 1.0), (1.0, position), step=step).stands(9 * S)
-        assert stands is not None
         expected = math.hypot(math.hypot(0.005, SAME), step / position / math.sqrt(12.0))
         assert stands[1] == pytest.approx(expected, rel=0.02)
 

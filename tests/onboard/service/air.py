@@ -206,7 +206,6 @@ class Air:
 
     def sets(self, begin_s: float = -1e9, end_s: float = 1e9) -> dict[int, FeatureSet]:
         """The last set of each picture taken within a stretch, as if taken in flight."""
-        assert self.received is not None
         out = {}
         for _, output in self.received.sets:
             if begin_s <= (output.capture_unix_ns - self.first_ns) / 1e9 < end_s:

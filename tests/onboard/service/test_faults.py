@@ -58,7 +58,6 @@ def holds(air: Air, *words: str, begin_s: float = BEGIN_S, end_s: float = END_S,
         outcome = air.clicked(*stretch)
         # Of a flight's clicks most share one error: a stretch is all inside or is not.
         assert outcome.inside_99 > 0.97, outcome.reported
-    assert air.received is not None
     (recording,) = air.recordings
     kept = Recording(recording)
     assert kept.frames("uav") == [e.index for e in air.received.events if isinstance(e, Frame)]

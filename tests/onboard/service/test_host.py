@@ -15,6 +15,5 @@ def test_the_hottest_sane_zone_counts(tmp_path: Path) -> None:
 
 def test_room_is_that_of_the_nearest_folder_there_is(tmp_path: Path) -> None:
     here, below = free_mb(tmp_path), free_mb(tmp_path / "not" / "yet")
-    assert below is not None
     assert 0.0 < here < 1e9
     assert abs(here - below) < 100.0

@@ -29,7 +29,6 @@ def outline_px2(outline: NDArray[np.float64]) -> float:
 def test_a_pixels_ground_is_what_clicks_next_to_it_say(tilt_deg: float) -> None:
     its_set = set_of(BOSON, Scene(ThermalSpec(), tilt_deg=tilt_deg).pose(0), 0)
     scale = ground_scale(its_set, (8, 10))
-    assert scale is not None
     u, v = (np.arange(10) + 0.5) * 64.0 - 0.5, (np.arange(8) + 0.5) * 64.0 - 0.5
     each = Locator(its_set).answers(np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2))
     by_click = np.abs(np.linalg.det(each.by_pixel_m[:, :2]))

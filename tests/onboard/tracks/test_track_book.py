@@ -63,7 +63,6 @@ def test_what_moves_is_given_its_speed_and_course(speed: float, is_flying: bool)
     last = reported[1][74]
     assert last.state is TrackState.FOLLOWED and off_px(world, walker, reported[1]) < 2.5
     c = last.course
-    assert c.course_deg is not None and c.sigma_course_deg is not None
     assert abs(c.speed_m_s - speed) < min(0.3, 3.0 * c.sigma_speed_m_s) and 0.005 < c.sigma_speed_m_s < 0.5
     assert abs(c.course_deg - 70.0) < 8.0 and c.sigma_course_deg < 12.0
 
@@ -73,7 +72,6 @@ def test_its_place_is_off_by_what_the_pose_is_off_and_its_speed_is_not() -> None
     world = World((car,))
     _, reported = fly(world, range(60), {1: car}, clicked=15)
     last = reported[1][59]
-    assert last.course is not None
     off = PLACE.to_enu(last.place.lat_deg, last.place.lon_deg, 100.0)[:2] - car.place(5.9)
     assert np.abs(off - [0.8, -0.5]).max() < 0.3  # as `World.its_set` has it
     assert last.place.ellipse.semi_major_m == pytest.approx(math.sqrt(CHI2_2), rel=0.1)
@@ -330,7 +328,6 @@ def test_where_pictures_stop_its_place_goes_on_its_ellipse_grows_and_after_two_s
     (report,) = book.reports(1.6)
     assert (report.state, report.unseen) == (TrackState.COASTING, Unseen.NO_PICTURE)
     last = reported[1][39]
-    assert last.place is not None and report.place is not None
     assert report.capture_unix_ns - last.capture_unix_ns == 1_600_000_000 and report.unseen_s == pytest.approx(1.6)
     off = PLACE.to_enu(report.place.lat_deg, report.place.lon_deg, 100.0)[:2] - car.place(3.9 + 1.6)
     assert np.abs(off - [0.8, -0.5]).max() < 0.5
