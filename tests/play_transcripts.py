@@ -3,9 +3,10 @@
 `make transcripts` plays them again and writes what is printed now; the difference is read in review, and the test
 compares. In a file: `# ` a remark; `$ ` what is typed, in a folder of its own with the files of `furnish`; indented by
 two spaces what goes to standard output, behind `! ` what goes to standard error; and `(exit N)` where that is not 0.
-`$ printf '...' > FILE` writes a file, `$ cp` copies one, `< FILE` is standard input, and `$ ls` shows what is there but
-for the inputs: that a command wrote nothing. Words in angle brackets stand for what is
-another each time. A page of `PAGES` holds what a command prints of cases that no one can type.
+`$ printf '...' > FILE` writes a file and `>>` adds to it, `$ cp` copies one, `$ sed 's/A/B/' FILE > OTHER` copies it
+with all A changed to B, `< FILE` is standard input, and `$ ls` shows what is there but for the inputs: that a command
+wrote nothing. Words in angle brackets stand for what is another each time. A page of `PAGES` holds what a command
+prints of cases that no one can type.
 """
 
 import contextlib
@@ -63,6 +64,7 @@ def furnish(folder: Path) -> None:
             channel = writer.register_channel(f"pc/{name}/features", "pointclick", 0)
             writer.add_message(channel, 1, encode(replace(sets[0], vehicle=name)), 1)
         writer.finish()
+    shutil.copytree(FOLDER.parent / "data" / "camera_files", folder / "lenses")
     (folder / "camera.json").write_text(Camera.from_field_of_view(640, 480, 60.0).to_json())
     for name, size in (("pictures", (640, 480)), ("small", (64, 48))):
         (folder / name).mkdir()
@@ -120,7 +122,15 @@ def typed(text: str, furnished: set[str]) -> tuple[str, str, int]:
     """Run a line as a shell would; what goes to standard output and standard error, and the exit code."""
     words = shlex.split(text)
     if words[0] == "printf":
-        Path(words[3]).write_bytes(words[1].encode("latin-1").decode("unicode_escape").encode("latin-1"))
+        with Path(words[3]).open("ab" if words[2] == ">>" else "wb") as file:
+            file.write(unescaped(words[1]).encode("latin-1"))
+        return "", "", 0
+    if words[0] == "sed":
+        changed = Path(words[2]).read_text(encoding="utf-8")
+        for change in unescaped(words[1]).split(";"):
+            _, before, after, _ = change.split("/")
+            changed = changed.replace(before, after)
+        Path(words[4]).write_text(changed, encoding="utf-8")
         return "", "", 0
     if words[0] == "cp":
         Path(words[2]).parent.mkdir(exist_ok=True)
@@ -140,6 +150,10 @@ def typed(text: str, furnished: set[str]) -> tuple[str, str, int]:
         except SystemExit as end:
             code = end.code if isinstance(end.code, int) else 1
     return out.getvalue(), err.getvalue(), code
+
+
+def unescaped(text: str) -> str:
+    return text.encode("latin-1").decode("unicode_escape")
 
 
 def played(text: str) -> str:

@@ -20,20 +20,8 @@ from tests.ground.worlds import CAMERA, build
 pytestmark = pytest.mark.xdist_group("click")  # one worker: what they share is made once
 
 START_NS = 1_700_000_000_250_000_000
-FIELDS = [
-    "status",
-    "lat_deg",
-    "lon_deg",
-    "height_ellipsoid_m",
-    "height_amsl_m",
-    "ellipse",
-    "sigma_height_m",
-    "method",
-    "frame",
-    "time_utc",
-    "age_s",
-    "vehicle",
-]
+FIELDS = ["status", "lat_deg", "lon_deg", "height_ellipsoid_m", "height_amsl_m", "ellipse", "sigma_height_m", "method",
+          "frame", "time_utc", "age_s", "vehicle"]  # fmt: skip
 
 
 def sets() -> list[FeatureSet]:

@@ -1,4 +1,7 @@
-"""Other tools' calibrations: right to a thousandth of a pixel by their own equations, or refused in one line."""
+"""Other tools' calibrations: right to a thousandth of a pixel by their own equations, or refused in one line.
+
+What is refused, and in which words: tests/transcripts/pc-onboard-camera.txt.
+"""
 
 import json
 import os
@@ -17,21 +20,10 @@ from onboard.commands.imported_flight import optics_of
 from onboard.config.files import load_camera
 from onboard.config.schema import parse_config
 from tests.onboard.camera_files.writers import (
-    COLMAP,
-    COLMAP_FISHEYE,
-    CX,
     FILES,
     FISHEYES,
-    FK1,
-    K1,
-    K3,
     KALIBR,
-    METASHAPE,
-    ODM,
     OPENCV,
-    OPENCV_FISHEYE,
-    P4D,
-    PIX4D,
     ROS,
     H,
     W,
@@ -110,67 +102,6 @@ def test_further_terms_are_reduced_and_the_residual_is_what_it_says(terms: list[
 
 
 PROJECT = next(each for each in FILES if each.name == "cameras.xml").text
-SENSOR = PROJECT[PROJECT.index("<sensor ") : PROJECT.index("</sensors>")]
-TWO_SENSORS = PROJECT.replace("</sensors>", SENSOR.replace('id="0"', 'id="1"') + "</sensors>")
-REFUSED = {
-    "ros fisheye": (ROS.replace("plumb_bob", "equidistant"), "5 values: must be a list of 4 numbers"),
-    "ros unknown": (ROS.replace("plumb_bob", "plumb_bobb"), "did you mean 'plumb_bob'"),
-    "ros key": (ROS.replace("camera_matrix", "camera_matrx"), "'camera_matrix' is missing; is 'camera_matrx' meant"),
-    "ros count": (ROS.replace(f", {K3}]", "]").replace(f"[{K1}, ", "["), "3 values: must be a list of 0 or 4"),
-    "ros roi": (ROS + "roi: {x_offset: 640, y_offset: 0, width: 0, height: 0}\n", "roi cuts the picture"),
-    "ros cut": (ROS[: ROS.index("distortion_model") - 5], r"not YAML \(.* in line 7\)"),
-    "yaml alias": ("a: &a [1]\nb: &b [*a, *a]\nsize_px: *b\n", r"not YAML \(an alias, .* in line 2\)"),
-    "ros from the middle": (ROS.replace(f"{CX}", "10.25"), "principal point is 10.25 px in x, 50 % of the picture off"),
-    "ros size": (ROS.replace("image_width", "width_"), "states no picture size.*--size"),
-    "opencv fisheye": (OPENCV + "fisheye_model: 1\n", "5 values: must be a list of 4 numbers"),
-    "opencv fisheye skew": (
-        OPENCV_FISHEYE.replace("1500.0, 0.,", "1500.0, 3.,"),
-        "a fisheye with the skew is not read",
-    ),
-    "opencv four": (OPENCV.replace(",\n       -0.008", ""), "4 coefficients: k1 k2 p1 p2, or a fisheye's"),
-    "kalibr fov": (KALIBR.replace("radtan", "fov"), "'fov' is a fisheye's model that is not read"),
-    "kalibr omni": (KALIBR.replace("pinhole", "omni"), "'omni' is a fisheye's model"),
-    "kalibr two": (KALIBR + KALIBR.replace("cam0", "cam1"), "holds 2 cameras, 'cam0', 'cam1': choose"),
-    "colmap fisheye": (f"1 FOV {W} {H} 3100 3100 2000 1500 0.9\n", "fisheye's model that is not read"),
-    "colmap fisheye count": (COLMAP_FISHEYE.replace(" 0.0011", ""), "OPENCV_FISHEYE has 9 values and not 10"),
-    "colmap twice": (COLMAP_FISHEYE + COLMAP_FISHEYE.replace("4000", "4001"), "camera '1' is there twice"),
-    "yaml twice": (ROS + "camera_name: a\ncamera_name: b\n", r"not YAML \('camera_name' is there twice"),
-    "json twice": (ODM.replace("{", '{"a": 1, "a": 2, ', 1), r"not JSON \('a' is there twice"),
-    "xml twice": ("<opencv_storage><K>1</K><K>2</K></opencv_storage>", "'K' is there twice"),
-    "fisheye absurd": (COLMAP_FISHEYE.replace(str(FK1), "9.0"), "half of the picture is spread more than .* times"),
-    "pinhole absurd": (ROS.replace(f"[{K1}, ", "[30.0, "), "half of the picture is spread more than .* times"),
-    "colmap unknown": (COLMAP.replace("FULL_OPENCV", "FULL_CV"), "model 'FULL_CV' is not read"),
-    "colmap count": (COLMAP.replace(" 0 0 0\n", "\n"), "FULL_OPENCV has 11 values and not 14"),
-    "metashape fisheye": (METASHAPE.replace(">frame<", ">fisheye<"), "fisheye's model"),
-    "metashape old": (METASHAPE.replace("<f>", "<fx>3100</fx><f>"), "PhotoScan before 1.2"),
-    "metashape two": (TWO_SENSORS, "holds 2 cameras, 'M3M', 'M3M 1': choose"),
-    "metashape guess": (TWO_SENSORS.replace("adjusted", "initial"), "has no adjusted calibration"),
-    "metashape doctype": ('<!DOCTYPE a [<!ENTITY b "c">]>' + METASHAPE.split("?>")[1], "document type"),
-    "pix4d size": (PIX4D, "states no picture size"),
-    "pix4d fisheye": (P4D.replace("perspective", "fisheye"), "fisheye's model"),
-    "opensfm fisheye": (ODM.replace('"brown"', '"fisheye_opencv"'), "a fisheye with p1 and p2 is not read"),
-    "opensfm fisheye62": (ODM.replace('"brown"', '"fisheye62"'), "'fisheye62' is a fisheye's model that is not read"),
-    "huge": (ROS.replace("3100.0", "1e999"), "must be a number"),
-    "huge json": (ODM.replace("0.775,", "1e999,"), "focal_x is Infinity: must be a number"),
-    "zeros": (ROS.replace("3100.0", "0.0"), "fx is 0.0: must be a number"),
-    "aspect": (ROS.replace("3110.0", "4110.0"), "pixels are not square"),
-    "centre": (ROS.replace("2010.25", "9010.25"), "principal point is 9010 px in x"),
-    "nothing": ("hello: world\n", "not a camera file; read are ours, .*COLMAP"),
-    "empty": ("", "not a camera file"),
-}
-
-
-@pytest.mark.parametrize("case", REFUSED)
-def test_a_refusal_names_file_and_reason_in_one_line(
-    case: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    text, reason = REFUSED[case]
-    path = put(tmp_path, "some.file", text)
-    with pytest.raises(InputError, match=reason):
-        load_camera_file(path)
-    assert main(["camera", str(path), "--out", str(tmp_path / "out.json")]) == 2
-    err = capsys.readouterr().err
-    assert err.count("\n") == 1 and f"camera file {path}" in err and not (tmp_path / "out.json").exists()
 
 
 def test_a_pipe_is_refused_and_not_waited_for(tmp_path: Path) -> None:
