@@ -1,4 +1,13 @@
-"""Cursor on Target on the network: UDP to one or to a group, TCP and TLS as streams that are opened again."""
+"""Cursor on Target on the network: UDP to one or to a group, TCP and TLS as streams that are opened again.
+
+A server sends to whoever sends to it: other clients' events, and of TLS 1.3 tickets before any event. What is not read
+fills a buffer until the server ends the connection, and a socket that is closed before it is read makes the system
+reset the connection, which discards at the server what it has not read yet. So a stream is read while nothing is sent,
+and at its end until the server has closed it too.
+
+Nothing is queued here: the next period's events are newer. The system's own queue is bounded in time: what a link that
+is gone has not acknowledged after UNACKNOWLEDGED_S is discarded with the connection, and never comes late.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +15,7 @@ import contextlib
 import ipaddress
 import socket
 import ssl
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +25,10 @@ from urllib.parse import urlsplit
 from contract.errors import InputError, LinkError
 
 CONNECT_TIMEOUT_S = 10.0
+UNACKNOWLEDGED_S = 30.0  # as long as the shortest time for which an event is valid
+CLOSING_S = 5.0  # for a server to read what it was sent, and to close
 MAX_DATAGRAM = 65_000
+READ_BYTES = 65_536
 
 
 @dataclass(frozen=True)
@@ -51,29 +64,93 @@ class Target:
 
 
 class CotSender:
-    """Sends events; a stream that broke is opened again by the next call."""
+    """Sends events; a stream that broke is opened again by `connect`, and `ended` states why the last one did."""
 
     def __init__(self, target: Target) -> None:
         self._target = target
         self._socket: socket.socket | None = None
+        self._is_stream = target.scheme != "udp"
+        self.ended = ""
 
-    def send(self, events: Sequence[str]) -> None:
-        """All of them. Raises LinkError; what was handed to the system before is not taken back."""
+    def connect(self) -> None:
+        """Open the stream unless it is open. Raises LinkError."""
+        self._read_for(0.0)
         if self._socket is None:
             self._socket = self._opened()
+        else:
+            self.ended = ""
+
+    def send(self, events: Sequence[str]) -> None:
+        """All of them, once connected. Raises LinkError; what was handed to the system before is not taken back."""
+        if self._socket is None:
+            raise LinkError(f"{self._name} is not open")
         try:
             for event in events:
                 data = event.encode("utf-8")
-                if self._target.scheme == "udp":
-                    if len(data) <= MAX_DATAGRAM:
-                        self._socket.send(data)
-                else:
+                if self._is_stream:
                     self._socket.sendall(data + b"\n")
+                elif len(data) <= MAX_DATAGRAM:
+                    self._socket.send(data)
         except OSError as error:
-            self.close()
-            raise LinkError(f"cannot send to {self._name}: {error.strerror or error}") from error
+            self._drop()
+            raise LinkError(f"cannot send to {self._name}: {self._reason(error)}") from error
+
+    def pause(self, seconds: float) -> None:
+        """Wait, and discard what the server sends. A stream that it ends is opened again by `connect`."""
+        until_s = time.monotonic() + seconds
+        self._read_for(seconds)
+        time.sleep(max(until_s - time.monotonic(), 0.0))
+
+    def finish(self) -> None:
+        """End the stream once the server has read all of it, or after CLOSING_S. Raises LinkError if it refused it.
+
+        With TLS 1.3 a server refuses a certificate only after we have sent.
+        """
+        is_refused = self._read_for(0.0)
+        if self._socket is not None and self._is_stream:
+            with contextlib.suppress(OSError):
+                if isinstance(self._socket, ssl.SSLSocket):
+                    self._socket.setblocking(False)
+                    with contextlib.suppress(OSError):  # sends that no more comes; the answer is not waited for
+                        self._socket.unwrap()
+                self._socket.shutdown(socket.SHUT_WR)  # of TLS too: what comes now is read as bytes
+            is_refused = self._read_for(CLOSING_S)
+        self._drop(self.ended)
+        if is_refused:
+            raise LinkError(f"{self._name} {self.ended}")
 
     def close(self) -> None:
+        """`finish`, whatever the server does."""
+        with contextlib.suppress(LinkError):
+            self.finish()
+
+    def _read_for(self, seconds: float) -> bool:
+        """Discard what the server sends; drop a stream that it ends. Returns whether that was by an error."""
+        until_s = time.monotonic() + seconds
+        left_s = seconds
+        while self._socket is not None and self._is_stream:
+            try:
+                self._socket.settimeout(left_s)  # 0: what is here already
+                if not self._socket.recv(READ_BYTES):
+                    self._drop("was closed by the server")
+                    return False
+            except (TimeoutError, BlockingIOError, ssl.SSLWantReadError):
+                pass
+            except OSError as error:
+                self._drop(f"was ended by the server: {self._reason(error)}")
+                return True
+            self._socket.settimeout(CONNECT_TIMEOUT_S)
+            left_s = until_s - time.monotonic()
+            if left_s <= 0.0:
+                break
+        return False
+
+    def _reason(self, error: OSError) -> str:
+        accepted = ": does it accept --to-certificate?" if self._target.scheme == "tls" else ""
+        return f"{error.strerror or error}{accepted}"
+
+    def _drop(self, why: str = "") -> None:
+        self.ended = why
         if self._socket is not None:
             with contextlib.suppress(OSError):
                 self._socket.close()
@@ -107,6 +184,8 @@ class CotSender:
             raise LinkError(
                 f"cannot open {self._name}: {error.strerror or error}: does somebody listen there?"
             ) from error
+        if hasattr(socket, "TCP_USER_TIMEOUT"):  # Linux
+            plain.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, round(1000 * UNACKNOWLEDGED_S))
         if t.scheme == "tcp":
             return plain
         try:

@@ -6,6 +6,7 @@ import argparse
 import contextlib
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -68,32 +69,19 @@ def run(args: argparse.Namespace) -> int:
     target = Target.of(args.to, args.to_ca, args.to_certificate, args.to_key, args.ttl)
     store = None if args.only_aircraft else PinStore(chosen_store(args.pins, args.store))
     places = None if store is None else Places(store)
-    stale_s = max(STALE_PERIODS * args.period, LEAST_STALE_S)
-    aircraft = _no_aircraft if args.only_pins else _aircraft(args, stale_s)
+    aircraft = _no_aircraft if args.only_pins else _aircraft(args, _stale_s(args.period))
     with contextlib.ExitStack() as opened_links, CotSender(target) as sender:
         if isinstance(aircraft, _aircraft):
             opened_links.callback(aircraft.close)
         shown, warnings = "", Warnings()
         while True:
-            now_ns = time.time_ns()
-            marks = [] if store is None or places is None else [Mark.of_pin(p, places.place(p)) for p in store.pins()]
-            sets = aircraft()
-            tracks = aircraft.tracks() if isinstance(aircraft, _aircraft) else []
-            found = aircraft.found() if isinstance(aircraft, _aircraft) else []
-            decided = {} if store is None else decisions(store.everything())
-            marks += [Mark.of_found(thing) for thing in found if decision(thing, decided) is None]
-            events = [
-                e
-                for e in (
-                    *(cot.event(mark, now_ns, stale_s) for mark in marks),
-                    *(event for s in sets for event in cot.aircraft_events(s, now_ns, stale_s)),
-                    *(cot.track_event(report, now_ns, args.period + LOST_AFTER_S) for report in tracks),
-                )
-                if e is not None
-            ]
             try:
+                sender.connect()  # before anything is computed: without a link there is no one to compute it for
+                events = _events(store, places, aircraft, args.period)
                 sender.send(events)
-                words = f"{len(events)} events to {args.to}"
+                if args.once:
+                    sender.finish()
+                words = f"{len(events)} events to {args.to}{sender.ended and f'; the last stream {sender.ended}'}"
             except LinkError as error:
                 if args.once:
                     raise
@@ -105,7 +93,30 @@ def run(args: argparse.Namespace) -> int:
                 shown = words
             if args.once:
                 return ANSWERED
-            time.sleep(args.period)
+            sender.pause(args.period)
+
+
+def _events(
+    store: PinStore | None, places: Places | None, aircraft: _aircraft | Callable[[], list[FeatureSet]], period_s: float
+) -> list[str]:
+    """Everything as it is now: what an outage kept back is in it, once, and as it is by then."""
+    now_ns, stale_s = time.time_ns(), _stale_s(period_s)
+    marks = [] if store is None or places is None else [Mark.of_pin(p, places.place(p)) for p in store.pins()]
+    sets = aircraft()
+    tracks = aircraft.tracks() if isinstance(aircraft, _aircraft) else []
+    found = aircraft.found() if isinstance(aircraft, _aircraft) else []
+    decided = {} if store is None else decisions(store.everything())
+    marks += [Mark.of_found(thing) for thing in found if decision(thing, decided) is None]
+    events = (
+        *(cot.event(mark, now_ns, stale_s) for mark in marks),
+        *(event for s in sets for event in cot.aircraft_events(s, now_ns, stale_s)),
+        *(cot.track_event(report, now_ns, period_s + LOST_AFTER_S) for report in tracks),
+    )
+    return [event for event in events if event is not None]
+
+
+def _stale_s(period_s: float) -> float:
+    return max(STALE_PERIODS * period_s, LEAST_STALE_S)
 
 
 def _no_aircraft() -> list[FeatureSet]:
