@@ -9,7 +9,7 @@ import { fileURLToPath } from "node:url";
 import { gzipSync } from "node:zlib";
 
 const here = dirname(fileURLToPath(import.meta.url));
-const EXPORTS = [["geojson", "GeoJSON"], ["kml", "KML"], ["gpx", "GPX"], ["csv", "CSV"], ["cot", "CoT"]];
+const EXPORTS = [["geojson", "GeoJSON"], ["kml", "KML"], ["gpx", "GPX"], ["csv", "CSV"], ["cot", "CoT"], ["tak", "TAK data package, with pictures"]];
 
 if (process.argv.includes("--tests")) {
   const out = process.argv[3] ?? join(here, "../build/frontend-tests");

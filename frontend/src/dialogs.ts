@@ -53,6 +53,7 @@ export async function showHandoff(pin: Pin, state: State, map: MapPane | null): 
   const onMap = mapOf(pin, map);
   body.replaceChildren(head, make("div", { class: "handoff-columns" }, table, pictures),
     make("div", { class: "from no-print" }, make("label", {}, "Bearing and distance ", from), make("label", {}, " Other system ", crs)),
+    make("ul", { class: "export-list no-print" }, make("li", {}, make("a", { href: api.packageUrl(pin.id), download: "", "data-testid": "package" }, "TAK data package"))),
     make("h3", {}, "On the radio"), readback, onMap.figure);
   for (const field of [from, crs]) field.addEventListener("change", () => void fill());
   print.disabled = true; // half a card is not printed

@@ -21,7 +21,7 @@ from ground.commands.saving import save
 from ground.commands.sources import Clicker, add_interpolated_argument, add_source_arguments, source_of
 from ground.commands.until_ended import until_ended
 from ground.commands.values import finite, frame_number, origin, pin_number, positive
-from ground.formats import geojson
+from ground.formats import data_package, geojson
 from ground.formats.documents import FORMATS, IMPORTED, one_line, read_pins, text_line
 from ground.formats.mark import Mark
 from ground.formats.rounded import rounded_text
@@ -44,11 +44,13 @@ examples:
   pc-ground pins measure 1 2
   pc-ground pins tie 300 200 --frame 14 --from SESSION.mcap --place -43.3799,172.4020 --sigma 0.5
   pc-ground pins export pins.kml
+  pc-ground pins export tent.zip --pin 1                                a TAK data package, with its pictures
   pc-ground pins import pins.geojson
   pc-ground pins undo
   pc-ground pins share --listen tcp/0.0.0.0:7448                        the other servers then connect to this one
   pc-ground pins share --connect tcp/10.0.0.5:7448
 """
+PACKAGE = "tak"
 MOST_LISTED = 20  # of what a file has and cannot be read
 REPORT_S = 5.0  # between two lines of how sharing goes
 
@@ -70,10 +72,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     exporting.add_argument(
         "file", metavar="FILE", nargs="?", type=Path, help="its name gives the format; - or none: here"
     )
-    exporting.add_argument("--format", choices=tuple(FORMATS), help="default: by the file's name, else geojson")
+    exporting.add_argument(
+        "--format", choices=(*FORMATS, PACKAGE), help="default: by the file's name, else geojson; tak: a data package"
+    )
     for command in (listing, exporting):
         command.add_argument("--category", choices=[c.value for c in Category], help="only these")
         command.add_argument("--text", default="", help="only those with this in name or note")
+        command.add_argument("--pin", metavar="N", type=pin_number, action="append", help="only this one; repeatable")
         add_grid_arguments(command)
     adding = action("add", "a pin where a pixel shows, or at a coordinate")
     _add_pixel(adding)
@@ -149,7 +154,9 @@ def run(args: argparse.Namespace) -> int:
 def _marks(store: PinStore, args: argparse.Namespace) -> list[Mark]:
     places = Places(store)
     wanted = None if args.category is None else category_of(args.category)
-    return [Mark.of_pin(pin, places.place(pin)) for pin in store.pins(category=wanted, text=args.text)]
+    only = None if args.pin is None else {store.by_number(number).id for number in args.pin}
+    pins = store.pins(category=wanted, text=args.text)
+    return [Mark.of_pin(pin, places.place(pin)) for pin in pins if only is None or pin.id in only]
 
 
 def _list(store: PinStore, args: argparse.Namespace) -> int:
@@ -160,18 +167,24 @@ def _list(store: PinStore, args: argparse.Namespace) -> int:
 
 def _export(store: PinStore, args: argparse.Namespace) -> int:
     to_file = args.file is not None and str(args.file) != "-"
-    by_name = {f.suffix: f.name for f in FORMATS.values() if f.suffix != ".txt"}
+    by_name = {f.suffix: f.name for f in FORMATS.values() if f.suffix != ".txt"} | {".zip": PACKAGE}
     name = args.format or (by_name.get(args.file.suffix.lower()) if to_file else "geojson")
     if name is None:
         raise UsageError(
             f"{args.file}: which format? its name may end in {', '.join(sorted(by_name))}; or give --format"
         )
     grid, marks = grid_of(args), _marks(store, args)
-    text = geojson.write(marks, grid, store.crop) if name == "geojson" else FORMATS[name].write(marks, grid)
-    if not to_file:
-        sys.stdout.write(text)
+    content: str | bytes
+    if name == PACKAGE:
+        if not to_file:
+            raise UsageError("a data package is a file: give its name, pins.zip")
+        content = data_package.write(marks, store.crop, time.time_ns())
+    else:
+        content = geojson.write(marks, grid, store.crop) if name == "geojson" else FORMATS[name].write(marks, grid)
+    if isinstance(content, str) and not to_file:
+        sys.stdout.write(content)
         return ANSWERED
-    save(args.file, text)
+    save(args.file, content)
     left_out = sum(not mark.is_placed for mark in marks)
     unplaced = f", {left_out} of them without a position" if left_out else ""
     print(f"{len(marks)} pins in {args.file}{unplaced}")

@@ -13,5 +13,6 @@ What other packages take from here:
                `read_pins(path, kind)`, `read_pins_of(name, data, kind)` -> `Imported` (pins, crops, left_out);
                `IMPORTED` their kinds.
 `geojson`      `write`, `read`: RFC 7946, without loss. `kml`, `gpx`, `table` (CSV): `write`, `read`; `cot`: `read`.
+`data_package` `write(marks, crop_of, now_unix_ns) -> bytes`: a TAK data package, with pictures.
 `cot`          `event(mark, now_unix_ns, stale_s)`, `aircraft_events(...)`: Cursor on Target XML; None for a refusal.
 """

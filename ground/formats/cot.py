@@ -42,8 +42,11 @@ _UNCONFIRMED = -65281  # magenta
 _COLOURS = {"person": -35072, "vehicle": -16776961, "fire": -65536, "hazard": -256, "poi": -1}
 
 
-def event(mark: Mark, now_unix_ns: int, stale_s: float) -> str | None:
-    """One line of XML; None for a mark without a position: a refusal is never sent as a point."""
+def event(mark: Mark, now_unix_ns: int, stale_s: float, is_kept: bool = False) -> str | None:
+    """One line of XML; None for a mark without a position: a refusal is never sent as a point.
+
+    `is_kept`: whoever receives it keeps it, as a file's; otherwise it is gone once no one sends it.
+    """
     if not mark.is_placed:
         return None
     lat, lon = mark.position
@@ -51,6 +54,8 @@ def event(mark: Mark, now_unix_ns: int, stale_s: float) -> str | None:
     root = _event(f"pointclick.{mark.id}", kind, how, now_unix_ns, mark.time_unix_ns, stale_s)
     _point(root, lat, lon, mark.height_ellipsoid_m, mark.ce90_m, mark.le90_m)
     detail = element(root, "detail")
+    if is_kept:
+        element(detail, "archive")
     element(detail, "contact", callsign=mark.title[:100])
     colour = str(_UNCONFIRMED if kind == INTEREST else _COLOURS.get(mark.category, _COLOURS["poi"]))
     element(detail, "usericon", iconsetpath=f"COT_MAPPING_SPOTMAP/{SPOT}/{colour}")

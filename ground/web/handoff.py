@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+import time
 from collections.abc import Callable
 from typing import Annotated, Any
 
@@ -11,6 +12,7 @@ from fastapi import APIRouter, HTTPException, Query, Response
 
 from contract.answer import time_utc
 from contract.errors import InputError
+from ground.formats import data_package
 from ground.formats.coordinates import Projection
 from ground.formats.documents import FORMATS
 from ground.formats.mark import Mark
@@ -68,6 +70,26 @@ def qr(context: Context, pin_id: str) -> Response:
     out = io.BytesIO()
     segno.make(geo_uri(mark), error="m").save(out, kind="svg", border=2, scale=4, dark="#000", light="#fff")
     return Response(out.getvalue(), media_type="image/svg+xml")
+
+
+@router.get("/pins/{pin_id}/package.zip", summary="A pin and its pictures as a TAK data package")
+def package(context: Context, pin_id: str) -> Response:
+    pin = context.pin(pin_id)
+    mark = Mark.of_pin(pin, context.places.place(pin))
+    if not mark.is_placed:
+        raise HTTPException(409, f"pin {pin.number} has no position to hand on: {mark.reason}")
+    return _package(context, [mark], f"pin-{pin.number}.zip")
+
+
+@router.get("/export/tak", summary="All pins and their pictures as a TAK data package")
+def export_package(context: Context) -> Response:
+    return _package(context, [Mark.of_pin(pin, context.places.place(pin)) for pin in context.store.pins()], "pins.zip")
+
+
+def _package(context: ServerContext, marks: list[Mark], name: str) -> Response:
+    content = data_package.write(marks, context.store.crop, time.time_ns())
+    headers = {"content-disposition": f'attachment; filename="{name}"'}
+    return Response(content, media_type=data_package.MEDIA_TYPE, headers=headers)
 
 
 @router.get("/export/{kind}", summary=f"All pins as a file: {', '.join(FORMATS)}", response_class=Response)

@@ -22,6 +22,7 @@ from ground.web.context import ServerContext
 from ground.web.guard import Rules
 from ground.web.recorded import RecordedSource
 from ground.web.tiles import Tiles
+from tests.ground.formats.packages import Package
 from tests.web.served import ROOT, Simulated
 
 pytestmark = pytest.mark.xdist_group("web: served alone")
@@ -124,6 +125,19 @@ def test_a_typed_pin_was_seen_when_somebody_says_so_and_not_when_it_was_typed(ap
     assert known["seen_utc"] == "2026-05-01T21:03:00.000000Z"
     printed = api.client.get(f"/api/pins/{known['id']}/handoff").json()
     assert "Seen at 21 03 U T C" in printed["readback"]
+
+
+def test_a_pin_and_all_pins_go_out_as_data_packages_with_their_pictures(api: Api) -> None:
+    pins = [api.pin(300.5, 200.25, name="tent"), api.pin(200.0, 180.0)]
+    one = Package(api.client.get(f"/api/pins/{pins[0]['id']}/package.zip").content)
+    both = Package(api.client.get("/api/export/tak").content)
+    assert [len(package.events) for package in (one, both)] == [1, 2]
+    (event,) = one.events.values()
+    assert event.find("detail/contact").get("callsign") == "1 tent"  # type: ignore[union-attr]
+    assert float(event.find("point").get("lat")) == pytest.approx(pins[0]["place"]["lat_deg"], abs=1e-8)  # type: ignore
+    assert all(len(both.pictures[uid]) == 1 for uid in both.events)
+    api.client.delete(f"/api/pins/{pins[0]['id']}")
+    assert api.client.get(f"/api/pins/{pins[0]['id']}/package.zip").status_code == 404
 
 
 def test_the_place_under_the_cursor_is_that_of_the_pin_a_click_would_make(api: Api, simulated: Simulated) -> None:
