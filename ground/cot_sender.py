@@ -26,6 +26,7 @@ from contract.errors import InputError, LinkError
 
 CONNECT_TIMEOUT_S = 10.0
 UNACKNOWLEDGED_S = 30.0  # as long as the shortest time for which an event is valid
+RETRY_S = 10.0  # between attempts to open a stream: what a server forgot with it need not wait for a long period
 CLOSING_S = 5.0  # for a server to read what it was sent, and to close
 MAX_DATAGRAM = 65_000
 READ_BYTES = 65_536
@@ -96,10 +97,11 @@ class CotSender:
             raise LinkError(f"cannot send to {self._name}: {self._reason(error)}") from error
 
     def pause(self, seconds: float) -> None:
-        """Wait, and discard what the server sends. A stream that it ends is opened again by `connect`."""
-        until_s = time.monotonic() + seconds
+        """Wait, and discard what the server sends; without a stream, or once it has ended, RETRY_S at most."""
+        began_s = time.monotonic()
         self._read_for(seconds)
-        time.sleep(max(until_s - time.monotonic(), 0.0))
+        wait_s = min(seconds, RETRY_S) if self._socket is None else seconds
+        time.sleep(max(began_s + wait_s - time.monotonic(), 0.0))
 
     def finish(self) -> None:
         """End the stream once the server has read all of it, or after CLOSING_S. Raises LinkError if it refused it.

@@ -114,6 +114,18 @@ def test_what_was_sent_to_a_server_that_went_comes_again_and_nothing_twice(
     assert sorted(number_of(e) for e in events if e.get("time") == newest) == list(range(2 * PERIODS))
 
 
+def test_a_stream_that_ended_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither for an hour, which is the period, where there is no server, nor where one has just gone."""
+    monkeypatch.setattr(cot_sender, "RETRY_S", 0.01)
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        sender = CotSender(Target.of(f"tcp://127.0.0.1:{listener.getsockname()[1]}"))
+        sender.pause(3600.0)
+        sender.connect()
+        listener.accept()[0].close()
+        sender.pause(3600.0)
+        assert "closed by the server" in sender.ended
+
+
 def test_the_last_event_arrives_even_if_the_server_sent_something_first(
     keys: Path, server: Server, store: PinStore, tmp_path: Path
 ) -> None:
