@@ -133,8 +133,8 @@ def test_a_pin_and_all_pins_go_out_as_data_packages_with_their_pictures(api: Api
     both = Package(api.client.get("/api/export/tak").content)
     assert [len(package.events) for package in (one, both)] == [1, 2]
     (event,) = one.events.values()
-    assert event.find("detail/contact").get("callsign") == "1 tent"  # type: ignore[union-attr]
-    assert float(event.find("point").get("lat")) == pytest.approx(pins[0]["place"]["lat_deg"], abs=1e-8)  # type: ignore
+    assert event.find("detail/contact").get("callsign") == "1 tent"
+    assert float(event.find("point").get("lat")) == pytest.approx(pins[0]["place"]["lat_deg"], abs=1e-8)
     assert all(len(both.pictures[uid]) == 1 for uid in both.events)
     api.client.delete(f"/api/pins/{pins[0]['id']}")
     assert api.client.get(f"/api/pins/{pins[0]['id']}/package.zip").status_code == 404

@@ -65,7 +65,7 @@ def test_a_watcher_receives_what_was_sent_once(
         assert eventually(lambda times=times: len(watcher.events) >= 3 * times)
     assert Counter(map(number_of, watcher.events)) == Counter({0: 5, 1: 5, 2: 5})
     assert {event.get("type") for event in watcher.events} == {"b-m-p-s-m"}
-    assert {event.find("point").get("ce") for event in watcher.events} == {"4.3"}  # type: ignore[union-attr]
+    assert {event.find("point").get("ce") for event in watcher.events} == {"4.3"}
     capsys.readouterr()
     assert main([*to(keys, taky.port, keys / "elsewhere" / "stranger"), *send]) == 2
     assert "--to-certificate" in capsys.readouterr().err

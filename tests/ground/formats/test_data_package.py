@@ -46,11 +46,11 @@ def test_pins_and_their_pictures_are_read_again_by_others(tmp_path: Path) -> Non
     package = Package((tmp_path / "all.zip").read_bytes())
     assert package.about["name"] == "3 pins"
     tent, car, gate = package.events.values()
-    assert tent.find("detail/contact").get("callsign") == '1 <tent> & "co"'  # type: ignore[union-attr]
-    assert float(tent.find("point").get("lat", "")) == pytest.approx(-43.38, abs=1e-9)  # type: ignore[union-attr]
-    assert gate.find("point").get("ce") == cot.UNKNOWN  # type: ignore[union-attr]
+    assert tent.find("detail/contact").get("callsign") == '1 <tent> & "co"'
+    assert float(tent.find("point").get("lat", "")) == pytest.approx(-43.38, abs=1e-9)
+    assert gate.find("point").get("ce") == cot.UNKNOWN
     colours = [picture.convert("RGB").getpixel((80, 80)) for picture in package.pictures[tent.get("uid", "")]]
-    assert [[round(part / 255) for part in colour] for colour in colours] == [[0, 0, 1], [1, 0, 0]]  # type: ignore
+    assert [[round(part / 255) for part in colour] for colour in colours] == [[0, 0, 1], [1, 0, 0]]
     assert not package.pictures[car.get("uid", "")] and not package.pictures[gate.get("uid", "")]
     for event in package.events.values():
         assert event.find("detail/archive") is not None
