@@ -59,12 +59,6 @@ def test_help_has_an_example(command: str, example: str, capsys: pytest.CaptureF
     assert example in capsys.readouterr().out
 
 
-def test_a_height_of_the_take_off_that_is_none_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        main(["replay", "--home-amsl-m", "high"])
-    assert "'high' is not a finite number" in capsys.readouterr().err
-
-
 def test_exif_of_a_video_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "a.mp4").write_bytes(b"x")
     with pytest.raises(InputError, match="is a video; pictures in a folder have EXIF"):

@@ -56,16 +56,3 @@ def test_a_replay_follows_prints_and_records(tmp_path: Path, capsys: pytest.Capt
     assert "nothing could be followed at 5 5 of picture 900" in output
     recorded = Recording(out).reports(TRACK_REPORTS, ["uav"])
     assert [report.frame for report in recorded] == [line["frame"] for line in lines]
-
-
-@pytest.mark.parametrize("words", [["--track", "8,150"], ["--track", "8,150,x"], ["--track", "8,150,110"] * 9])
-def test_what_cannot_be_followed_is_refused_in_a_line(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    folder = simulated(dataclasses.replace(STRAIGHT, seconds=5.0))
-    given = [f"--{name}={folder / file}" for name, file in (
-        ("frames", "frames"), ("telemetry", "telemetry.tlog"), ("camera", "camera.json"), ("stamps", "stamps.csv"),
-    )]  # fmt: skip
-    try:
-        assert main(["replay", *given, *words]) == 2
-    except SystemExit as ended:
-        assert ended.code == 2
-    assert "--track" in capsys.readouterr().err
