@@ -9,7 +9,7 @@ To first order, with the nine common states of contract/feature_set.py and the c
 so that cov X = J S J' + (r / w)(r / w)' var e; towards the horizon terms of higher order widen it, (9.17). Between two
 clicks the common states cancel through J1 - J2, (9.10), and kriging gives the covariance of e1 with e2. Between two
 sets: ground/two_sets.py. Section 9 of docs/mathematics.md. Where a set states what one clicked pixel was measured at,
-that and its own error stand for kriging's at this pixel, and nowhere else: (29.15).
+that and its own error stand for kriging's at this pixel, and nowhere else: (29.17).
 """
 
 from __future__ import annotations
@@ -312,7 +312,7 @@ class Locator:
     def _above_ground(self, click: _Clicks) -> tuple[float, float] | None:
         """Height above the ground between the features at the same place, and its one sigma, of what was measured.
 
-        (29.16)
+        (29.18)
         """
         if not click.is_measured[0]:
             return None

@@ -44,11 +44,13 @@ class Match:
     toward_set: float
     by_common: float
     by_surface: float = 0.0  # how uneven the surface is next to the click
+    by_edge: float = 0.0  # the ground behind the surface, which the click may be of
 
     @property
     def sigma_per_m(self) -> float:
-        """One sigma of the inverse depth. (29.14)"""
-        return math.sqrt((self.by_pictures + self.by_poses) * max(self.rest, 1.0) + self.by_common + self.by_surface)
+        """One sigma of the inverse depth. (29.16)"""
+        by_views = (self.by_pictures + self.by_poses) * max(self.rest, 1.0)
+        return math.sqrt(by_views + self.by_common + self.by_surface + self.by_edge)
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +118,7 @@ def normalised(values: Values | Array) -> tuple[Array, float]:
 def _with_errors(
     rows: Sequence[Row], by_score: Array, views: Sequence[View], features: Features, found: tuple[Patch, float, Array]
 ) -> Match:
-    """(29.8) to (29.13). `by_score` (3,): the first row of the normal matrix's inverse; `found`: what, w, slope."""
+    """(29.8) to (29.15). `by_score` (3,): the first row of the normal matrix's inverse; `found`: what, w, slope."""
     patch, w, slope = found
     L = [row.J @ by_score / row.noise for row in rows]  # d w / d residual, (n,) of each view
     own = [float(each @ each) * row.noise for each, row in zip(L, rows, strict=True)]
@@ -153,7 +155,7 @@ def _by_views(patch: Patch, w: float, views: Sequence[View], by_pixel: Sequence[
 
 
 def _toward_set(missing: Array, views: Sequence[View], cov: Array) -> tuple[float, float]:
-    """The relative change by which a depth that the views give gets the set's common errors, and its variance. (29.13)
+    """The relative change by which a depth that the views give gets the set's common errors, and its variance. (29.15)
 
     `missing` (8,): what the depth lacks of what is common.
     """

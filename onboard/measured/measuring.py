@@ -1,4 +1,4 @@
-"""A clicked pixel -> its own inverse depth with an error of its own, or why it has none. (29.1) to (29.14)"""
+"""A clicked pixel -> its own inverse depth with an error of its own, or why it has none. (29.1) to (29.16)"""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.feature_set import Measured
+from onboard.measured.edge import ABOUT, CORRELATED, LEAST_NOISE, Ground, behind
 from onboard.measured.matching import Match, matched
 from onboard.measured.patches import HALF_PX, OFFSETS, SIDE_PX, Patch, Values, warped
 from onboard.measured.sweep import CORE, LEAST_VIEWS, SMALL, WHOLE, WINDOWS, agreement, steps_between, swept
@@ -25,21 +26,21 @@ UNEVEN_STEPS = 6.0
 PARABOLA_STEPS = 0.15  # one sigma of where a window's maximum lies between steps, as a parabola has it
 TWIN = 0.05  # of correlation: a maximum that is less than this below the best may as well be it
 FLAT_GREY = 4.0  # standard deviation of a patch without texture
-ABOUT = np.exp(-0.5 * (OFFSETS**2).sum(axis=1) / 1.2**2)  # what counts as the click's own pixels
 NEXT = slice(HALF_PX - 1, HALF_PX + 2)  # rows and columns of the click and of the pixels next to it
-LEAST_NOISE = 1.0  # grey levels squared
-CORRELATED = 3.0  # pixels of a picture that are one measurement
+LEAST_GROUND_SIGMA = 1e-6  # of the logarithm of its inverse depth
 CLEAR = 5.0  # natural logarithm of how much likelier one surface must be than another
 
 
 @dataclass(frozen=True, eq=False)
 class Sought:
-    """The range of the search: inverse depths from the farthest to the nearest (1/m), and the slope of the ground
-    there, d ln w / d (x, y).
+    """The range of the search: inverse depths from the farthest to the nearest (1/m); the ground between the features,
+    its inverse depth with one sigma of its logarithm, and its slope d ln w / d (x, y).
     """
 
     far_per_m: float
     near_per_m: float
+    ground_per_m: float
+    ground_sigma: float
     slope: Array
 
 
@@ -69,8 +70,8 @@ def measure(patch: Patch, views: Sequence[View], features: Features, sought: Sou
     seeing = [view for view, sees in zip(views, found.sees[window], strict=True) if sees]
     if len(seeing) < LEAST_VIEWS:
         return Measured.HIDDEN
-    w = float(found.w[window])
-    match = matched(patch, seeing, features, (w, found.slope), WINDOWS[:, window] > 0.0)
+    w, mask = float(found.w[window]), WINDOWS[:, window] > 0.0
+    match = matched(patch, seeing, features, (w, found.slope), mask)
     if match is None:
         return Measured.NO_TEXTURE
     # Windows about the click that see the same surface show how uneven it is next to the click. (29.11)
@@ -78,8 +79,17 @@ def measure(patch: Patch, views: Sequence[View], features: Features, sought: Sou
     uneven = float(np.mean((found.w[:SMALL][near] - match.inverse_depth_per_m) ** 2)) if near.any() else 0.0
     count = WINDOWS.sum(axis=0)
     alone = match.by_pictures * float(count[window] / count[0]) + (PARABOLA_STEPS * found.step) ** 2
+    surface = match.inverse_depth_per_m, match.slope
+    by_edge = behind(patch, seeing, surface, mask, _ground(sought, found.step))
     w = match.inverse_depth_per_m * (1.0 + match.toward_set)
-    return replace(match, inverse_depth_per_m=w, by_surface=max(uneven - alone, 0.0))
+    return replace(match, inverse_depth_per_m=w, by_surface=max(uneven - alone, 0.0), by_edge=by_edge)
+
+
+def _ground(sought: Sought, step: float) -> Ground:
+    """Return the ground between the features, on which something may stand anywhere in the sweep."""
+    sigma_per_m = max(sought.ground_sigma, LEAST_GROUND_SIGMA) * sought.ground_per_m
+    density_m = 1.0 / (sought.near_per_m - sought.far_per_m)
+    return Ground(sought.ground_per_m, sigma_per_m, sought.slope, step, density_m)
 
 
 def _sweep(patch: Patch, views: Sequence[View], sought: Sought) -> _Swept | Measured:

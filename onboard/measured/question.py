@@ -1,4 +1,4 @@
-"""A set and a pixel -> the same set with the pixel measured: where it is looked for, and how far. (29.15)"""
+"""A set and a pixel -> the same set with the pixel measured: where it is looked for, and how far. (29.17)"""
 
 from __future__ import annotations
 
@@ -71,12 +71,13 @@ class Questions:
         patch = Patch.at(image, asked.camera, uv_px) if valid else None
         if patch is None:
             return Measured.BORDER
-        sought, ground_w, ground_sigma = where(held, ray[:2])
+        sought = where(held, ray[:2])
         if sought is None:
             return Measured.HIDDEN
         features = Features.of(asked)
-        found = measure(patch, self._seen_by(asked, image, others, ray, ground_w, features), features, sought)
-        if isinstance(found, Match) and found.inverse_depth_per_m < ground_w * (1.0 - UNDER_SIGMAS * ground_sigma):
+        ground = sought.ground_per_m
+        found = measure(patch, self._seen_by(asked, image, others, ray, ground, features), features, sought)
+        if isinstance(found, Match) and found.inverse_depth_per_m < ground * (1.0 - UNDER_SIGMAS * sought.ground_sigma):
             return Measured.MOVES
         return found
 
@@ -110,19 +111,17 @@ def identity(of: FeatureSet) -> tuple[int, int]:
     return of.frame, of.revision
 
 
-def where(locator: Locator, xy: Array) -> tuple[Sought | None, float, float]:
-    """Return the range to search along a ray x, y, the ground's interpolated inverse depth there, and one sigma
-    of its logarithm. None where there is no ground.
-    """
+def where(locator: Locator, xy: Array) -> Sought | None:
+    """Return the range to search along a ray x, y about the ground between the features; None where there is none."""
     s = locator.feature_set
     plane = float(s.plane_per_m[0] + xy @ s.plane_per_m[1:])
     r, sigma = locator.between_features(xy)
     w = plane * (1.0 + r)
     if plane <= 0.0 or w <= 0.0:
-        return None, 0.0, 0.0
+        return None
     reach = SIGMAS * sigma
     far, near = w * (1.0 - max(BELOW_SHARE, reach)), w / (1.0 - min(max(ABOVE_SHARE, reach), 0.6))
-    return Sought(max(far, 0.3 * w), near, s.plane_per_m[1:] / plane), w, sigma
+    return Sought(max(far, 0.3 * w), near, w, sigma, s.plane_per_m[1:] / plane)
 
 
 def chosen(asked: FeatureSet, others: Sequence[Pictured], ray: Array, w: float) -> list[Pictured]:

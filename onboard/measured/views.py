@@ -2,7 +2,7 @@
 
 Poses are relative to the clicked picture's: what its set has in common with them cancels. What is measured over its
 features has their common scale, and part of the tilts that they have in common; what the camera is off by is the same
-in all of them (29.13).
+in all of them (29.15).
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ class Features:
 
 @dataclass(frozen=True, eq=False)
 class Common:
-    """The errors that a set's features have in common, as one view shows them (29.12): `by_pose` (6, 8), how its pose
+    """The errors that a set's features have in common, as one view shows them (29.14): `by_pose` (6, 8), how its pose
     moves with them; the information (8, 8) of them that the features' pixels have beyond the pose, and its right side
     (8,).
     """
@@ -166,7 +166,7 @@ def resect(
     R: Array, centre_m: Array, features: Features, xy: Array, camera: Camera
 ) -> tuple[Array, Array, Array, Array, float, Common] | None:
     """The pose by which features are seen at `xy` (N, 2), undistorted; its `by_feature` and `by_depth`, the pixels' one
-    sigma, and what is seen of what the features have in common. (29.2), (29.3), (29.12)
+    sigma, and what is seen of what the features have in common. (29.2), (29.3), (29.14)
 
     What disagrees is left out, None if that is most.
     """
@@ -237,7 +237,7 @@ def rays_by_camera(camera: Camera, xy: Array) -> Array:
 
 def pixels_by_camera(R: Array, q: Array, rays_by: Array, camera: Camera) -> Array:
     """The derivative (N, 2, 5) by the camera's errors of the pixels of directions q (N, 3) in a view, which R turns
-    rays into that move by `rays_by` (N, 2, 5) themselves. (29.12)
+    rays into that move by `rays_by` (N, 2, 5) themselves. (29.14)
     """
     xy = q[:, :2] / q[:, 2:]
     by_ray = (R[:2, :2] - xy[:, :, None] * R[2, :2]) / q[:, 2, None, None]

@@ -30,12 +30,14 @@ GRID = np.stack(np.meshgrid(np.arange(320.0), np.arange(240.0)), axis=-1)
 @dataclass(frozen=True)
 class World:
     """`roof_m` is the roof's height (0: none), `contrast` of its texture and the ground's, `stripe_m` how far the
-    ground repeats itself (0: it does not). Poses in the sets are off by `pose_sigma`: metres and radians.
+    ground repeats itself (0: it does not), `plain_m` how far about the bright roof it has no texture. Poses in the sets
+    are off by `pose_sigma`: metres and radians.
     """
 
     roof_m: float = 0.0
     contrast: float = 1.0
     stripe_m: float = 0.0
+    plain_m: float = 0.0
     tilt_rad: float = 0.0
     feature_sigma: float = 5e-4  # relative, of inverse depth
     pose_sigma: tuple[float, float] = (0.15, 0.001)
@@ -73,6 +75,14 @@ class World:
         ground, roof = (
             cv2.remap(texture, columns, rows, cv2.INTER_LINEAR) for texture in textures(self.seed, self.stripe_m)
         )
+        if self.plain_m:
+            west, south, east, north = ROOF_M
+            away_m = np.hypot(
+                *(np.maximum(np.maximum(low - c, c - high), 0.0)
+                  for c, low, high in ((at[..., 0], west, east), (at[..., 1], south, north)))
+            )  # fmt: skip
+            ground = ground * np.clip(away_m / self.plain_m - 1.0, 0.0, 1.0).astype(np.float32)
+            roof = 0.4 * roof + 50.0
         noise = np.random.default_rng([self.seed, 8, number]).normal(0.0, 1.5, on.shape)
         return np.clip(np.rint(110.0 + self.contrast * np.where(on, roof, ground) + noise), 0, 255).astype(np.uint8)
 

@@ -85,7 +85,7 @@ def test_the_height_between_two_clicks_is_right_within_its_sigma_and_leaves_out_
 
 @pytest.mark.long
 def test_a_click_has_the_tilt_that_its_set_is_off_by_within_a_sigma_that_states_how_well_it_does() -> None:
-    """Tilts of a hundredth, in three worlds; without (29.13) the errors are four times as large and 57 % inside."""
+    """Tilts of a hundredth, in three worlds; without (29.15) the errors are four times as large and 57 % inside."""
     off, z = [], []
     tilts = np.diag([1e-4, 1e-4, 1e-4, 1e-5, 1e-5, 1e-5, 1e-3, 1e-2, 1e-2]) ** 2
     for seed in range(3):
@@ -105,7 +105,7 @@ def test_a_click_has_the_tilt_that_its_set_is_off_by_within_a_sigma_that_states_
 
 
 def test_a_camera_that_is_off_by_what_its_type_may_be_is_in_a_click_s_sigma() -> None:
-    """Focal length, principal point and k1 of all pictures' sets, five draws; without them in (29.12) 57 % are inside
+    """Focal length, principal point and k1 of all pictures' sets, five draws; without them in (29.14) 57 % are inside
     and the farthest is at 7.6 sigmas.
     """
     z, sigmas = [], []

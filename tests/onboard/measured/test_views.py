@@ -75,7 +75,7 @@ def test_a_pose_is_as_far_off_as_its_derivatives_by_the_features_state() -> None
 
 
 def test_a_pose_moves_with_what_the_features_have_in_common_as_it_states_and_its_pixels_show_what_that_is() -> None:
-    """Features all off by one mode at a time: the pose by finite differences, the mode from what is left. (29.12)"""
+    """Features all off by one mode at a time: the pose by finite differences, the mode from what is left. (29.14)"""
     rng = np.random.default_rng(3)
     features, R, centre = some_features(rng, sigma=1e-4), exp_so3(rng.normal(0.0, 0.05, 3)), np.array([14.0, 3.0, 1.0])
     q = (features.rays - features.inverse_depth_per_m[:, None] * centre) @ R.T
@@ -99,7 +99,7 @@ def test_a_pose_moves_with_what_the_features_have_in_common_as_it_states_and_its
 
 @pytest.mark.parametrize("camera", [CAMERA, replace(CAMERA, distortion=(-0.2, 0.05, 0.001, -0.001, 0.0)), FISHEYE])
 def test_pixels_in_a_view_move_with_the_camera_s_errors_as_derived(camera: Camera) -> None:
-    """(29.12) by finite differences: pixels of the clicked picture stay, both pictures' camera is another."""
+    """(29.14) by finite differences: pixels of the clicked picture stay, both pictures' camera is another."""
     rng = np.random.default_rng(4)
     uv, w = rng.uniform([40.0, 40.0], [280.0, 200.0], (30, 2)), 1.0 / rng.uniform(80.0, 120.0, 30)
     R, centre = exp_so3(rng.normal(0.0, 0.1, 3)), np.array([11.0, -4.0, 2.0])
@@ -116,7 +116,7 @@ def test_pixels_in_a_view_move_with_the_camera_s_errors_as_derived(camera: Camer
 
 
 def test_a_pose_moves_with_the_camera_s_errors_as_it_states() -> None:
-    """Both pictures' rays by a camera that is off by one error at a time: the pose by finite differences. (29.12)"""
+    """Both pictures' rays by a camera that is off by one error at a time: the pose by finite differences. (29.14)"""
     rng = np.random.default_rng(3)
     features, R, centre = some_features(rng, sigma=1e-4), exp_so3(rng.normal(0.0, 0.05, 3)), np.array([14.0, 3.0, 1.0])
     uv = pixels(CAMERA, (features.rays - features.inverse_depth_per_m[:, None] * centre) @ R.T)
