@@ -39,6 +39,8 @@ def in_usage(message: str, options: Iterable[str] = ()) -> str:
         return message if near is None else f"{where}{choice[1]!r}; did you mean {near!r}?"
     if message.startswith("unrecognized arguments: --"):
         word = message.split()[2].partition("=")[0]
+        if word in options:
+            return f"{message}, which is another command's"
         near = near_word(word, options)
         return message if near is None else f"{message}; did you mean {near}?"
     return message

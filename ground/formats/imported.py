@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import uuid
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -11,6 +12,7 @@ from contract.errors import InputError
 from ground.pins.model import MAX_NAME, MAX_NOTE, Category, Pin, PinClick
 
 MAX_REASON = 200  # characters
+_NO_NUMBER = re.compile(r"could not convert string to float: (.*)")  # Python's words
 
 
 @dataclass(eq=False)
@@ -29,7 +31,8 @@ class Imported:
         try:
             self.pins.append(make())
         except (InputError, ValueError, OverflowError, IndexError) as error:
-            self.bad.append(f"{what}: {' '.join(str(error).split())[:MAX_REASON]}")
+            why = _NO_NUMBER.sub(r"\1 is no number", " ".join(str(error).split()))
+            self.bad.append(f"{what}: {why[:MAX_REASON]}")
 
     def checked(self) -> Imported:
         """Itself. Raises InputError if everything in the file that should be a point is bad."""
