@@ -440,7 +440,7 @@ def parse_table(text: str) -> dict[str, Any]:
     """TOML text -> its table; raises ConfigError."""
     try:
         return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except ValueError as error:  # a number of thousands of digits is no error of tomllib's own
         raise ConfigError(f"not TOML: {' '.join(str(error).split())}") from error
 
 
