@@ -107,7 +107,7 @@ def settings(args: argparse.Namespace, folder: Path, port: int) -> dict[str, Any
             raise InputError(f"--set {text}: it is SECTION.KEY=VALUE, as mount.pitch_deg=-45")
         try:
             keys[key] = tomllib.loads(f"value = {value}")["value"]
-        except tomllib.TOMLDecodeError:
+        except ValueError:
             keys[key] = value  # a text without its quotes
     return keys
 

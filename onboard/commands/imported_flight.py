@@ -116,7 +116,7 @@ def settings_of(given: Sequence[str]) -> dict[str, str]:
             raise ConfigError(f"--set {text}: is not SECTION.KEY=VALUE, as in mount.pitch_deg=-45")
         try:
             tomllib.loads(f"x = {value}")
-        except tomllib.TOMLDecodeError:
+        except ValueError:
             value = json.dumps(value)
         out[key.strip()] = value.strip()
     return out

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from contract.errors import ConfigError
+from onboard.commands.imported_flight import settings_of
 from onboard.config.schema import Config, default_toml, key_table, load_config, parse_config
 
 DEFAULT_FILE = Path(__file__).parents[3] / "config.toml"
@@ -28,6 +29,12 @@ def test_every_key_occurs_in_the_default_file() -> None:
         assert key in reduce(dict.__getitem__, section.split("."), table) or (
             info.default is None and f"\n# {key} =\n" in text
         ), name
+
+
+def test_a_number_of_thousands_of_digits_is_refused_as_other_damage_is() -> None:
+    with pytest.raises(ConfigError, match="not TOML: Exceeds the limit"):
+        parse_config(f"[camera]\nrate_hz = {'9' * 5000}\n")
+    assert settings_of([f"camera.rate_hz={'9' * 5000}"])["camera.rate_hz"].startswith('"999')  # a text: no number
 
 
 def test_a_partial_file_leaves_everything_else_at_its_default() -> None:
