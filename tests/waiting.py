@@ -7,7 +7,7 @@ itself is claimed, it is counted less what this thread was held up, for so was w
 import time
 from collections.abc import Callable
 
-PATIENCE_S = 60.0  # for what takes a second where nothing else runs
+PATIENCE_S = 120.0  # for what takes a second where nothing else runs; on a slow machine at a load of 30 a page took 60
 LOOK_S = 0.02
 LEAST_STALL_S = 0.05  # a sleep that is longer by less is an ordinary one
 
