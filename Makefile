@@ -216,10 +216,10 @@ gstreamer:
 	$(call from_debian,$(BIN)/python -m tests.rtsp,$(GSTREAMER),the tests of RTSP and GStreamer)
 
 # Tests of the marker expression $(1), three at a time for two cores: many wait most of their time, and with four of
-# them what is drawn in real time fell behind, and the whole took as long. None of them is tried a second time. Those that measure real time run
-# after the others, by four workers of whom one has all those that do not mostly wait (tests/conftest.py); a bound that
-# the host broke by standing still is tried twice more, and the summary lists it. The flights that one of the two has
-# drawn are the other's too.
+# them what is drawn in real time fell behind, and the whole took as long. None of them is tried a second time. Those
+# that measure real time run after the others, by four workers of whom one has all those that do not mostly wait
+# (tests/conftest.py); a bound that the host broke by standing still is tried twice more, and the summary lists it. The
+# flights that one of the two has drawn are the other's too.
 # The order is ours (tests/costly_first.py), and not that of the most tests first. $(2) is what the exit codes of the
 # two may be; 5 is a run without any test.
 # POINTCLICK_LONG is what tests/submission.py chooses among the long ones.
