@@ -131,7 +131,7 @@ def test_a_camera_file_survives(tmp_path: Path) -> None:
     "text", ["[" * 100_000, MILD.to_json().replace("700.0", "1" + "0" * 400)], ids=["deep", "huge"]
 )
 def test_a_camera_file_without_measure_is_named(tmp_path: Path, text: str) -> None:
-    """What else is wrong with one: tests/transcripts/pc-onboard-camera.txt."""
+    """Other faults of one: tests/transcripts/pc-onboard-camera.txt."""
     (tmp_path / "camera.json").write_text(text)
     with pytest.raises(InputError, match=r"camera\.json"):
         Camera.from_json(tmp_path / "camera.json")

@@ -35,7 +35,7 @@ def test_a_list_that_is_written_is_read_back_as_it_was(names: list[str], listen:
 
 
 def test_a_list_without_end_is_refused(tmp_path: Path) -> None:
-    """What else is: tests/transcripts/pc-onboard-make-credentials.txt."""
+    """Others that are refused: tests/transcripts/pc-onboard-make-credentials.txt."""
     (tmp_path / "fleet.toml").write_text("#" * (MAX_BYTES + 1))
     with pytest.raises(InputError, match="more than 1000000 bytes"):
         read_fleet(tmp_path / "fleet.toml")

@@ -85,11 +85,11 @@ class Server:
 
     @property
     def events(self) -> list[ET.Element]:
-        """What has been received whole."""
+        """The events that have been received whole."""
         return [ET.fromstring(text + b"</event>") for one in self._received for text in one.split(b"</event>")[:-1]]
 
     def has(self, count: int) -> bool:
-        """Whether so many events are there, or come."""
+        """Return whether so many events are there, or come."""
         return eventually(lambda: sum(one.count(b"</event>") for one in self._received) >= count)
 
     def _serve(self, listener: socket.socket) -> None:

@@ -165,7 +165,7 @@ def test_measuring_in_one_picture_and_in_two(session: str, capsys: pytest.Captur
 def test_pins_come_back_from_files_as_they_were(
     session: str, pins: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """What each action prints: tests/transcripts/pc-ground-pins.txt."""
+    """The words of each action: tests/transcripts/pc-ground-pins.txt."""
 
     def printed(*arguments: object) -> str:
         status, out, err = run(capsys, "pins", *arguments, "--pins", pins)

@@ -150,7 +150,7 @@ def test_a_certificate_that_the_server_refuses_is_reported(
 
 
 def test_a_server_that_reads_no_more_is_given_up_with_what_waits_for_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of a link that is gone nothing comes late: the system's own queue is discarded after a while."""
+    """Nothing comes late over a link that was gone: the system's own queue is discarded after a while."""
     monkeypatch.setattr(cot_sender, "UNACKNOWLEDGED_S", 0.5)
     monkeypatch.setattr(cot_sender, "CONNECT_TIMEOUT_S", PATIENCE_S)
     with socket.create_server(("127.0.0.1", 0)) as listener:

@@ -100,7 +100,7 @@ def test_the_searched_area_is_the_polygon_that_is_given(
 def test_an_area_whose_lists_have_no_end_is_one_line(
     session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """What else is none: tests/transcripts/pc-ground-seen.txt."""
+    """Other texts that are none: tests/transcripts/pc-ground-seen.txt."""
     (tmp_path / "area.geojson").write_text("[" * 100_000)
     assert main(["seen", "--from", str(session), "--polygon", str(tmp_path / "area.geojson")]) == 2
     complaint = capsys.readouterr().err

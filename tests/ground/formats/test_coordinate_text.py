@@ -26,7 +26,7 @@ def test_every_usual_way_of_writing_one_place_is_read_as_that_place(text: str) -
 
 
 def test_a_text_without_end_is_refused_in_a_line() -> None:
-    """What has two readings or none: tests/transcripts/pc-ground-pins.txt."""
+    """Texts with two readings or none: tests/transcripts/pc-ground-pins.txt."""
     with pytest.raises(InputError, match="longer") as caught:
         read_coordinate("1 " * 200)
     assert len(str(caught.value).splitlines()) == 1 and len(str(caught.value)) < 200

@@ -267,7 +267,7 @@ def test_a_damaged_log_gives_the_rest_or_one_line(tmp_path: Path, kind: str) -> 
     "head", [bytes(range(256)) * 30, b"\xa3\x95\x80" + bytes(500), b"ULog\x01\x12\x35\x01" + bytes(20)]
 )
 def test_what_only_begins_like_a_log_is_one_line(tmp_path: Path, head: bytes) -> None:
-    """What else is none, and bad lines: tests/transcripts/pc-onboard-import-video.txt."""
+    """Other files that are none, and bad lines: tests/transcripts/pc-onboard-import-video.txt."""
     path = tmp_path / "x"
     path.write_bytes(head)
     with pytest.raises(InputError, match=r"^telemetry [^\n]*$"):
