@@ -9,13 +9,14 @@ from __future__ import annotations
 import hashlib
 import io
 import uuid
-import warnings
 import xml.etree.ElementTree as ET
 import zipfile
 from collections.abc import Callable, Sequence
+from typing import Any
 
 from contract.errors import InputError
 from contract.xml_text import document, element
+from ground.bounded_picture import decoded
 from ground.formats import cot
 from ground.formats.mark import Mark
 
@@ -64,21 +65,16 @@ def _pictures(mark: Mark, crop_of: Callable[[str], bytes | None]) -> list[bytes]
 
 def _jpeg(crop: bytes) -> bytes | None:
     try:
-        from PIL import Image  # noqa: PLC0415  of the page's extra, and only here
+        return decoded(crop, MAX_PIXELS, _as_jpeg)
     except ImportError as error:
         raise InputError(
             "a data package's pictures need the package Pillow: install pointclick with its extra [web] (README)"
         ) from error
+
+
+def _as_jpeg(picture: Any) -> bytes:
     out = io.BytesIO()
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", Image.DecompressionBombWarning)
-            with Image.open(io.BytesIO(crop)) as picture:
-                if picture.width * picture.height > MAX_PIXELS:
-                    return None
-                picture.convert("RGB").save(out, "JPEG", quality=JPEG_QUALITY)
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError, Warning):
-        return None
+    picture.convert("RGB").save(out, "JPEG", quality=JPEG_QUALITY)
     return out.getvalue()
 
 

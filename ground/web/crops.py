@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import io
 import threading
-import warnings
 from collections import OrderedDict
 from collections.abc import Callable
 
 from PIL import Image
+
+from ground.bounded_picture import decoded
 
 SIDE_SHARE = 0.2  # of the picture's width, that the crop shows
 SIDE_PX = 160
@@ -38,36 +39,29 @@ class Cropper:
         `key`: the picture's vehicle, session and frame; `read` gives its content, encoded.
         """
         with self._lock:
-            decoded = self._kept.get(key)
-        if decoded is None:
+            picture = self._kept.get(key)
+        if picture is None:
             content = read()
-            decoded = None if content is None else _decoded(content)
-            if decoded is None:
+            picture = None if content is None else decoded(content, MAX_PIXELS, _reduced)
+            if picture is None:
                 return None
             with self._lock:
-                self._kept[key] = decoded
+                self._kept[key] = picture
                 while len(self._kept) > KEPT:
                     self._kept.popitem(last=False)
-        x = (u_px + 0.5) * decoded.width / camera_size_px[0]
-        y = (v_px + 0.5) * decoded.height / camera_size_px[1]
-        half = 0.5 * SIDE_SHARE * decoded.width
+        x = (u_px + 0.5) * picture.width / camera_size_px[0]
+        y = (v_px + 0.5) * picture.height / camera_size_px[1]
+        half = 0.5 * SIDE_SHARE * picture.width
         box = round(x - half), round(y - half), round(x + half), round(y + half)
         out = io.BytesIO()
-        square = decoded.crop(box).resize((SIDE_PX, SIDE_PX), Image.Resampling.BILINEAR)
+        square = picture.crop(box).resize((SIDE_PX, SIDE_PX), Image.Resampling.BILINEAR)
         square.save(out, "WEBP", quality=QUALITY, method=0)
         return out.getvalue()
 
 
-def _decoded(content: bytes) -> Image.Image | None:
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", Image.DecompressionBombWarning)
-            with Image.open(io.BytesIO(content)) as picture:
-                if picture.width * picture.height > MAX_PIXELS:
-                    return None
-                picture.draft("RGB", (DECODED_PX, DECODED_PX))
-                decoded = picture.convert("RGB")
-                decoded.thumbnail((2 * DECODED_PX, 2 * DECODED_PX))
-                return decoded
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError, Warning):
-        return None
+def _reduced(picture: Image.Image) -> Image.Image:
+    """The picture's colours, a large JPEG's at a part of its size."""
+    picture.draft("RGB", (DECODED_PX, DECODED_PX))
+    reduced = picture.convert("RGB")
+    reduced.thumbnail((2 * DECODED_PX, 2 * DECODED_PX))
+    return reduced
