@@ -110,7 +110,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     Without the long tests a file is one worker's: what its tests share is made once, and workers that wait, as all of
     a file on the link do, are next to others that calculate; the costliest groups come first. Long tests are few to a
     file and take minutes each. (pytest-xdist keeps this order with --no-loadscope-reorder only.) Of those that measure
-    real time, the ones that mostly wait are one worker's by folder, next to another's that do not.
+    real time, the ones that mostly wait are one worker's by file, next to another's that do not.
     """
     if asks_for_long(config.option.markexpr):
         for item in items:
@@ -140,7 +140,7 @@ def real_time_group(item: pytest.Item) -> str | None:
     measured = item.get_closest_marker("wall_clock")
     if measured is None:
         return None
-    return f"waits {item.path.parent.name}" if measured.kwargs.get("waits") else "measures"
+    return f"waits {item.path.stem}" if measured.kwargs.get("waits") else "measures"
 
 
 def group_of(item: pytest.Item) -> str:

@@ -77,6 +77,7 @@ def test_a_leg_simulated_out_and_back_is_one_consistent_flight(simulated: Leg) -
     assert np.count_nonzero(~same_way) == 2
 
 
+@pytest.mark.long
 def test_the_same_leg_is_rendered_once(simulated: Leg, tmp_path: Path) -> None:
     first = leg(1.0, 4.0, tmp_path)
     made = {file: file.stat().st_mtime_ns for file in tmp_path.rglob("*.png")}

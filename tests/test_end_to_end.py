@@ -162,6 +162,7 @@ def test_the_same_inputs_give_the_same_bytes(flight: Path, simulated: dict[str, 
     assert again.read_bytes() == simulated["full"].recording.read_bytes()
 
 
+@pytest.mark.long
 @pytest.mark.wall_clock
 def test_a_cold_click_takes_under_a_second(simulated: dict[str, Simulated]) -> None:
     """Alone it takes 0.2 s."""

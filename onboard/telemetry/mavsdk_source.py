@@ -150,23 +150,22 @@ class MavsdkEnd:
 
     def _write(self, data: bytes) -> None:
         with self._lock:
-            if self._wire is None or self._broken is not None or self._is_needless(data):
+            if self._wire is None or self._broken is not None:
+                return
+            now_ns, is_beat = self._clock.now_ns(), _is_heartbeat(data)
+            if is_beat and self._beat_ns is not None and now_ns - self._beat_ns < SELDOM_NS:
                 return
             try:
-                self._wire.write(data)
+                # mavsdk's first one may come before the wire knows where to: then the next is due at once.
+                if self._wire.write(data) and is_beat:
+                    self._beat_ns = now_ns
             except OSError as error:
                 self._broken = error
 
-    def _is_needless(self, data: bytes) -> bool:
-        """Return whether this is a heartbeat before the next one is due."""
-        size, at = HEARTBEAT_BYTES.get(data[0], (0, 0)) if data else (0, 0)
-        if len(data) != size or any(data[at : at + (1 if data[0] == 0xFE else 3)]):
-            return False
-        now_ns = self._clock.now_ns()
-        if self._beat_ns is not None and now_ns - self._beat_ns < SELDOM_NS:
-            return True
-        self._beat_ns = now_ns
-        return False
+
+def _is_heartbeat(data: bytes) -> bool:
+    size, at = HEARTBEAT_BYTES.get(data[0], (0, 0)) if data else (0, 0)
+    return len(data) == size and not any(data[at : at + (1 if data[0] == 0xFE else 3)])
 
 
 def from_json(name: str, system: int, component: int, text: str) -> Any | None:

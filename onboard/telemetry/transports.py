@@ -31,8 +31,8 @@ class Wire(Protocol):
     def read(self, timeout_s: float) -> bytes:
         """Return data that has come in, waiting at most that long; empty if none has. Raises OSError when broken."""
 
-    def write(self, data: bytes) -> None:
-        """Send; what has no receiver is lost. Raises OSError when broken."""
+    def write(self, data: bytes) -> bool:
+        """Send; return whether it went out: what has no receiver is lost. Raises OSError when broken."""
 
     def confirm(self) -> None:
         """Confirm that the data read last came from the vehicle: answers go there."""
@@ -93,11 +93,13 @@ class _Serial:
         ready, _, _ = select.select([self._port.fileno()], [], [], timeout_s)
         return bytes(self._port.read(CHUNK)) if ready else b""
 
-    def write(self, data: bytes) -> None:
+    def write(self, data: bytes) -> bool:
         try:
             self._port.write(data)
         except serial.SerialTimeoutException:
             self._port.reset_output_buffer()
+            return False
+        return True
 
     def confirm(self) -> None:
         """There is one other end."""
@@ -124,13 +126,14 @@ class _Tcp:
             raise ConnectionError("the other end has closed the connection")
         return data
 
-    def write(self, data: bytes) -> None:
+    def write(self, data: bytes) -> bool:
         try:
             sent = self._socket.send(data)
         except BlockingIOError:
-            return
+            return False
         if sent < len(data):
             raise ConnectionError("the other end takes nothing any more")  # half a packet is out: start over
+        return True
 
     def confirm(self) -> None:
         """There is one other end."""
@@ -166,10 +169,12 @@ class _Udp:
             return b""
         return data
 
-    def write(self, data: bytes) -> None:
+    def write(self, data: bytes) -> bool:
         if self._peer is not None:
             with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
                 self._socket.sendto(data, self._peer)
+                return True
+        return False
 
     def confirm(self) -> None:
         self._peer = self._last

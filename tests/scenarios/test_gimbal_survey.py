@@ -138,6 +138,7 @@ def test_a_gimbal_that_is_not_there_is_never_accepted(wobble_deg: float, pitch_o
     assert auto.inside_99 >= 0.97, auto.reported
 
 
+@pytest.mark.long
 def test_the_summary_says_what_carried_the_camera_and_why() -> None:
     folder = survey(10.0, 120.0, pictures=8)
     always = played(folder, "always", held_level(lambda t: (0.0, -0.1, 0.0))).pipeline

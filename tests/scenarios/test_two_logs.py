@@ -33,6 +33,7 @@ def replayed(folder: Path, out: Path, *logs: Path) -> Outcome:
     return click(folder, {frame: recording.by_frame(vehicle, frame) for frame in recording.frames(vehicle)}, None)
 
 
+@pytest.mark.long
 def test_clicks_are_as_good_as_with_the_whole_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     camera = Camera.from_field_of_view(320, 240, 50.0)
     folder = simulated(SessionSpec(RecordedSpec("plane_turn", 12.0), seconds=10.0, rate_hz=4.0, camera=camera))

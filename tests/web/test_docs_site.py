@@ -37,6 +37,7 @@ def test_every_page_is_in_the_site_and_in_its_contents(site: Path) -> None:
     assert modules.count("<tr>") > 300
 
 
+@pytest.mark.long
 def test_links_within_the_site_lead_somewhere(site: Path) -> None:
     there, links = pages(site), 0
     for page, text in there.items():

@@ -64,6 +64,7 @@ def is_gone(pid: int) -> bool:
         return True
 
 
+@pytest.mark.long
 @pytest.mark.wall_clock
 def test_from_one_command_to_an_answered_click_and_both_programs_end(
     flight: tuple[StreamedFlight, list[object]], tmp_path: Path, chromium: Any

@@ -127,6 +127,7 @@ def test_two_logs_reach_the_import_and_name_the_flight(tmp_path: Path, monkeypat
     assert asked[0][-1] == asked[1][-1] != asked[2][-1]  # the folder of the flight
 
 
+@pytest.mark.long
 def test_a_session_without_pictures_says_why_and_what_helps(
     session: Path, tmp_path: Path, opened: Callable[..., Opened]
 ) -> None:

@@ -159,6 +159,7 @@ def test_the_counting_begins_with_the_first_question_and_ends_with_the_server() 
     assert seen.state()["pictures"] == 3
 
 
+@pytest.mark.long
 @pytest.mark.wall_clock
 def test_the_pictures_of_a_place_are_found_within_50_ms_after_an_hour() -> None:
     seen = SeenMap(ManySets())

@@ -420,6 +420,7 @@ def test_pictures_are_shed_oldest_first_when_the_processor_is_starved(tmp_path: 
     assert len(Recording(air.recordings[0]).frames("uav")) == len(stamps)
 
 
+@pytest.mark.long
 def test_nothing_the_host_does_to_its_clock_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """An hour forth and an hour back in flight."""
     true_ns, hour_ns = time.time_ns, 3_600_000_000_000

@@ -12,11 +12,14 @@ from onboard.config.schema import parse_config
 from onboard.events.session_clock import SessionClock
 from onboard.telemetry.mavsdk_source import MavsdkEnd
 
-class Line:
+class Line:  # without anybody to send to at first, as a socket that listens
     def __init__(self):
-        self.sent = []
+        self.sent, self.known_s = [], time.monotonic() + 1.5
     def write(self, data):
+        if time.monotonic() < self.known_s:
+            return False
         self.sent.append(bytes(data))
+        return True
 
 BEAT = mavlink.MAVLink_heartbeat_message(1, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, 0, 0, 4, 3)
 config, line, theirs = parse_config("[telemetry]\\nsystem = 1"), Line(), mavlink.MAVLink(None)
