@@ -12,6 +12,7 @@ import numpy as np
 from contract.camera import Camera
 from contract.geodesy import LocalFrame
 from onboard.camera.photo_lens import FULL_FRAME_DIAGONAL_MM
+from tests.onboard.telemetry import log_writers
 
 SLOW_ERROR_M = (0.9, -0.6, 4.0)  # east, north, up: of a receiver for a minute
 
@@ -93,3 +94,20 @@ def set_creation(video: Path, moment: datetime) -> None:
     since_1904 = moment - datetime(1904, 1, 1, tzinfo=UTC)
     struct.pack_into(">I", data, data.index(b"mvhd") + 8, since_1904.days * 86_400 + since_1904.seconds)
     video.write_bytes(data)
+
+
+def with_metadata(video: Path, sets: dict[float, bytes], is_timed: bool = True) -> None:
+    """Into a transport stream of OpenCV's (MPEG-4), sets at their times (s) on the video's own."""
+    data, out, left, at_s = video.read_bytes(), b"", sorted(sets.items()), -1.0
+    for k in range(0, len(data), 188):
+        packet = data[k : k + 188]
+        pid = (packet[1] & 0x1F) << 8 | packet[2]
+        if pid == log_writers.VIDEO_PID and packet[1] & 0x40:
+            start = 4 + (1 + packet[4] if packet[3] & 0x20 else 0)
+            a, b, c = packet[start + 9], *struct.unpack_from(">HH", packet, start + 10)
+            at_s = ((a >> 1 & 7) << 30 | (b >> 1) << 15 | c >> 1) / 90_000 - 1.4
+            while left and left[0][0] <= at_s:
+                time_s, content = left.pop(0)
+                out += log_writers.metadata_packets(content, time_s if is_timed else None)
+        out += log_writers.map_of_streams(0x10, 0x15 if is_timed else 0x06) if pid == log_writers.MAP_PID else packet
+    video.write_bytes(out)

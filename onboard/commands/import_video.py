@@ -36,6 +36,7 @@ from onboard.telemetry.log_files import read_logs
 from onboard.telemetry.log_formats import SUFFIXES
 from onboard.telemetry.mp4_container import creation_ns
 from onboard.telemetry.telemetry_log import NS_PER_S, TelemetryLog
+from onboard.telemetry.transport_stream import has_metadata
 from onboard.telemetry.video_reader import has_telemetry, other_telemetry
 
 RATE_HZ = 5.0  # pictures taken out of a faster video: enough for the window, and for a person to look through
@@ -60,7 +61,8 @@ def run(arguments: argparse.Namespace) -> int:
     check_out(arguments.out)
     size_px = _size(video)
     named: list[Path] = arguments.telemetry
-    found = None if named else log_in_folder(video.parent, video.stem) or (video if has_telemetry(video) else None)
+    is_own = not named and (has_telemetry(video) or has_metadata(video))
+    found = None if named else log_in_folder(video.parent, video.stem) or (video if is_own else None)
     paths = named if found is None else [found]
     if not paths:
         what = other_telemetry(video)
@@ -128,7 +130,7 @@ def _beginning(video: Path, log: TelemetryLog, arguments: argparse.Namespace) ->
         return _Beginning(log.video_epoch_ns, "as the subtitles count")
     if log.video_began is not None and set(arguments.telemetry) <= {video} and arguments.start is None:
         began_ns, sigma_s = log.video_began
-        source = "the receiver's times in it"
+        source = "the times of the telemetry in it"
         return _Beginning(began_ns, source, Stated(0.0, sigma_s, source))
     if arguments.start is not None:
         start_ns, sigma_s = arguments.start

@@ -18,8 +18,10 @@ from onboard.telemetry.mrk_reader import begins_mrk, read_mrk_log
 from onboard.telemetry.nmea_reader import begins_nmea, read_nmea
 from onboard.telemetry.pos_reader import begins_pos, read_pos
 from onboard.telemetry.read_options import ReadOptions
+from onboard.telemetry.stream_reader import read_stream
 from onboard.telemetry.telemetry_log import TelemetryLog
 from onboard.telemetry.tlog_reader import read_tlog
+from onboard.telemetry.transport_stream import begins_stream
 from onboard.telemetry.video_reader import read_video
 
 Reader = Callable[[Path, ReadOptions], TelemetryLog]
@@ -127,6 +129,12 @@ FORMATS = (
         "`--home-amsl-m` or `--gps-order` in some dialects",
     ),
     LogFormat(
+        "ts", "a transport stream", ".ts", "a byte 47 (hex) every 188 or 192", begins_stream, read_stream,
+        "MISB ST 0601: position, height above sea or ellipsoid +-40 m, velocity, attitude, the camera's own, field of "
+        "view; when the video began +-0.5 s",
+        "`gps.undulation_m`",
+    ),
+    LogFormat(
         "geo", "an OpenDroneMap geo.txt", ".txt", "`EPSG:4326`", begins_geo,
         instead="its positions belong to pictures by their names and have no times: give it to import-photos",
     ),
@@ -152,9 +160,10 @@ FORMATS = (
         "position, velocity, attitude, rates, gimbal, zoom, receiver, filter, range, shots",
     ),
 )  # fmt: skip
+VIDEOS = frozenset({"mp4", "ts"})
 READ = tuple(each for each in FORMATS if each.read is not None)
 # Of files that lie next to pictures; a video there is another's.
-SUFFIXES = tuple(dict.fromkeys(each.suffix.lower() for each in READ if each.key != "mp4"))
+SUFFIXES = tuple(dict.fromkeys(each.suffix.lower() for each in READ if each.key not in VIDEOS))
 # A folder of pictures also has tracks of other things in it: these count only where there is no log of an aircraft.
 POSITIONS_ALONE = frozenset({".gpx", ".nmea", ".pos", ".mrk"})
 

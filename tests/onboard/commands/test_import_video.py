@@ -21,8 +21,8 @@ from onboard.telemetry.log_files import read_log
 from onboard.telemetry.mp4_container import creation_ns
 from simulation.flight import RecordedSpec, find_recording
 from simulation.session import SessionSpec
-from tests.onboard.telemetry.log_writers import T0_S, gopro_seconds, with_track, written
-from tests.own_flights import set_creation, vary_rate, write_video
+from tests.onboard.telemetry.log_writers import T0_S, Moment, gopro_seconds, misb_items, misb_set, with_track, written
+from tests.own_flights import set_creation, vary_rate, with_metadata, write_video
 from tests.rest_long import rest_long
 from tests.scenarios.flights import simulated
 
@@ -230,7 +230,7 @@ def test_a_gopro_s_own_track_is_its_log_and_another_s_is_named(
     video = clip(tmp_path / "GX010042.MP4")
     with_track(video, b"gpmd", *gopro_seconds())
     assert imported(tmp_path, video) == 0
-    assert "the receiver's times in it" in capsys.readouterr().out
+    assert "the times of the telemetry in it" in capsys.readouterr().out
     first = (tmp_path / "flight" / "stamps.csv").read_text().splitlines()[1]
     assert float(first.split(",")[1]) == pytest.approx(T0_S, abs=0.1)
     assert 0.4 < load_config_files(tmp_path / "flight" / "config.toml").camera.sigma_latency_s < 0.6
@@ -240,6 +240,20 @@ def test_a_gopro_s_own_track_is_its_log_and_another_s_is_named(
     complaint = capsys.readouterr().err
     assert "no log of the flight next to it" in complaint and "In the video is a Parrot's telemetry" in complaint
     assert "DJI" not in complaint
+
+
+def test_a_stream_s_metadata_are_its_log_and_its_field_of_view_the_lens(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    video = clip(tmp_path / "clip.ts")
+    with_metadata(video, {0.2 * k: misb_set(misb_items(Moment(0.2 * k))) for k in range(10)})
+    assert imported(tmp_path, video) == 0
+    printed = capsys.readouterr().out
+    assert "the times of the telemetry in it" in printed and "59 deg wide" in printed  # 60, to 6 %
+    first = (tmp_path / "flight" / "stamps.csv").read_text().splitlines()[1]
+    assert float(first.split(",")[1]) == pytest.approx(T0_S, abs=0.1)
+    config = load_config_files(tmp_path / "flight" / "config.toml")
+    assert (config.mount.gimbal, config.solve.attitude) == ("always", "autopilot")
 
 
 def test_angles_in_the_log_say_how_the_camera_is_held(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from pyulog import ULog
 
-from contract.rotations import matrix_from_euler, quaternion_from_matrix
+from contract.rotations import euler_from_matrix, matrix_from_euler, quaternion_from_matrix
 
 Array = NDArray[np.float64]
 
@@ -475,6 +475,102 @@ def gopro() -> bytes:
     return mp4(b"gpmd", *gopro_seconds())
 
 
+# ---------------------------------------------------------------- MISB ST 0601 in a transport stream
+
+MISB_KEY = bytes.fromhex("060e2b34020b01010e01030101000000")
+VIDEO_PID, METADATA_PID, MAP_PID = 0x100, 0x101, 0x1000
+
+
+def mapped(value: float, low: float, high: float, size: int) -> bytes:
+    """A value on the range of an integer of so many bytes; of a symmetric one the integer is signed."""
+    if low == -high:
+        return round(value / high * ((1 << 8 * size - 1) - 1)).to_bytes(size, "big", signed=True)
+    return round((value - low) / (high - low) * ((1 << 8 * size) - 1)).to_bytes(size, "big")
+
+
+def misb_set(items: dict[int, bytes]) -> bytes:
+    """A set with its checksum; items above 127 have numbers of two bytes."""
+    numbers = {item: bytes([item]) if item < 128 else bytes([0x80 | item >> 7, item & 0x7F]) for item in items}
+    body = b"".join(numbers[item] + bytes([len(value)]) + value for item, value in items.items()) + b"\x01\x02"
+    whole = MISB_KEY + bytes([0x81, len(body) + 2]) + body
+    return whole + (sum(byte << 8 * ((k + 1) % 2) for k, byte in enumerate(whole)) % 0x10000).to_bytes(2, "big")
+
+
+def misb_items(m: Moment, gimbal_deg: tuple[float, float, float] = (0.0, -90.0, 10.0)) -> dict[int, bytes]:
+    """Where the flight is, how it is turned, and the camera against it."""
+    roll, pitch, heading = m.euler_deg
+    R = matrix_from_euler(*np.radians(m.euler_deg)).T @ matrix_from_euler(*np.radians(gimbal_deg))
+    turn, elevation, azimuth = np.degrees(euler_from_matrix(R)).tolist()
+    return {
+        2: round((T0_S + m.t) * 1e6).to_bytes(8, "big"),
+        5: mapped(heading, 0.0, 360.0, 2), 13: mapped(m.lat, -90.0, 90.0, 4), 14: mapped(LON, -180.0, 180.0, 4),
+        15: mapped(HOME_M + ABOVE_M, -900.0, 19000.0, 2), 16: mapped(60.0, 0.0, 180.0, 2),
+        18: mapped(azimuth % 360.0, 0.0, 360.0, 4), 19: mapped(elevation, -180.0, 180.0, 4),
+        20: mapped(turn % 360.0, 0.0, 360.0, 4), 79: mapped(SPEED, -327.0, 327.0, 2), 80: mapped(0.0, -327.0, 327.0, 2),
+        90: mapped(pitch, -90.0, 90.0, 4), 91: mapped(roll, -90.0, 90.0, 4), 136: b"\x00",
+    }  # fmt: skip
+
+
+def ticks(pts: int) -> bytes:
+    """A time of a packet, in its 5 bytes."""
+    return bytes([0x21 | pts >> 29 & 0xE, pts >> 22 & 0xFF, pts >> 14 & 0xFE | 1, pts >> 7 & 0xFF, pts << 1 & 0xFE | 1])
+
+
+def own_packet(stream: int, content: bytes, time_s: float | None) -> bytes:
+    """A packet of one stream (PES), with its time or without."""
+    head = b"\x80\x00\x00" if time_s is None else b"\x80\x80\x05" + ticks(round((time_s + 1.4) * 90_000) % 2**33)
+    return b"\x00\x00\x01" + struct.pack(">BH", stream, len(head) + len(content)) + head + content
+
+
+def in_packets(pid: int, content: bytes) -> bytes:
+    """Packets of a transport stream, the last of them filled up by its adaptation field."""
+    out = b""
+    for at in range(0, len(content), 184):
+        part = content[at : at + 184]
+        spare = 184 - len(part)
+        field = b"" if not spare else bytes([spare - 1]) + (b"\x00" + b"\xff" * (spare - 2) if spare > 1 else b"")
+        out += struct.pack(">BHB", 0x47, 0x4000 * (not at) | pid, 0x30 if spare else 0x10) + field + part
+    return out
+
+
+def in_table(pid: int, section: bytes) -> bytes:
+    """A table in one packet; its checksum as ISO 13818-1 has it."""
+    crc = 0xFFFFFFFF
+    for byte in section:
+        crc ^= byte << 24
+        for _ in range(8):
+            crc = (crc << 1 ^ (0x04C11DB7 if crc >> 31 else 0)) & 0xFFFFFFFF
+    whole = b"\x00" + section + struct.pack(">I", crc)
+    return struct.pack(">BHB", 0x47, 0x4000 | pid, 0x10) + whole.ljust(184, b"\xff")
+
+
+def map_of_streams(video_kind: int, kind: int = 0x15) -> bytes:
+    """The packet that states the streams of the programme: the pictures and the metadata."""
+    described = b"\x05\x04KLVA" if kind == 0x06 else b""
+    rows = struct.pack(">BHH", video_kind, 0xE000 | VIDEO_PID, 0xF000)
+    rows += struct.pack(">BHH", kind, 0xE000 | METADATA_PID, 0xF000 | len(described)) + described
+    section = struct.pack(">HBBBHH", 1, 0xC1, 0, 0, 0xE000 | VIDEO_PID, 0xF000) + rows
+    return in_table(MAP_PID, struct.pack(">BH", 2, 0xB000 | len(section) + 4) + section)
+
+
+PROGRAMMES = in_table(0, struct.pack(">BHHBBBHH", 0, 0xB00D, 1, 0xC1, 0, 0, 1, 0xE000 | MAP_PID))
+
+
+def metadata_packets(content: bytes, time_s: float | None) -> bytes:
+    """A set as its stream has it: with a time in a cell of its own, or bare."""
+    cell = b"" if time_s is None else struct.pack(">BBBH", 0, 0, 0xDF, len(content))
+    return in_packets(METADATA_PID, own_packet(0xBD if time_s is None else 0xFC, cell + content, time_s))
+
+
+def misb() -> bytes:
+    """Ten sets a second between pictures that are nothing but their times."""
+    out = PROGRAMMES + map_of_streams(0x1B)
+    for m in moments(10):
+        out += in_packets(VIDEO_PID, own_packet(0xE0, bytes(300), m.t))
+        out += metadata_packets(misb_set(misb_items(m)), m.t)
+    return out
+
+
 def _utc(t: float) -> str:
     at = datetime.fromtimestamp(T0_S + t, UTC)
     return f"{at:%Y-%m-%dT%H:%M:%S}.{at.microsecond // 1000:03d}"
@@ -483,6 +579,7 @@ def _utc(t: float) -> str:
 WRITERS: dict[str, Callable[[], bytes]] = {
     "tlog": tlog, "bin": dataflash, "ulg": ulog, "srt": srt, "csv": table, "airdata": airdata, "dji": dji_record,
     "skydio": skydio, "gpx": gpx, "ass": ass, "nmea": nmea, "pos": pos, "mrk": mrk, "mp4": gopro,
+    "ts": misb,
 }  # fmt: skip
 
 

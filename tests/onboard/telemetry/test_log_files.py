@@ -56,7 +56,9 @@ class Promise:
     undulation_m: float | None = 11.0
     datum_m: float | None = None
     above_m: float | None = ABOVE_M
+    height_m: float = 0.01
     gimbal_deg: tuple[float, float, float] | None = None
+    gimbal_abs: float = 1e-9  # of a quaternion
     utc_sigma_s: float | None = 0.0
     ahead_s: float = 0.0  # of UTC, that its times are
     options: ReadOptions | None = None
@@ -86,6 +88,10 @@ KINDS = {
     "pos": replace(BARE, claims=(0.4, 0.6, 12), undulation_m=11.0, options=ReadOptions(undulation_m=11.0)),
     "mp4": replace(
         BARE, claims=(2.5, 5.0, None), undulation_m=11.0, options=ReadOptions(undulation_m=11.0), least=(5, 40)
+    ),
+    "ts": replace(
+        BARE, attitude_hz=10, has_velocity=True, height_m=0.2, datum_m=40.0, gimbal_deg=DOWN_DEG, gimbal_abs=1e-4,
+        least=(8, 100),
     ),
     "mrk": replace(BARE, claims=(0.4, 0.6, None), undulation_m=11.0, options=ReadOptions(undulation_m=11.0)),
 }  # fmt: skip
@@ -119,7 +125,7 @@ def test_positions_are_where_the_flight_was_at_their_stamps(logs: dict[str, Tele
         off_m = (fix.lat_deg - Moment(t).lat) * METRES_A_DEGREE
         assert abs(off_m) < promise.place_m + SPEED * promise.stamp_s
         assert fix.lon_deg == pytest.approx(LON, abs=1e-6)
-        assert fix.height_amsl_m == pytest.approx(HOME_M + ABOVE_M, abs=0.01)
+        assert fix.height_amsl_m == pytest.approx(HOME_M + ABOVE_M, abs=promise.height_m)
         assert fix.height_above_home_m == (None if promise.above_m is None else pytest.approx(ABOVE_M, abs=0.01))
         if promise.has_velocity:
             assert fix.velocity_ned_m_s[:2] == pytest.approx((SPEED, 0.0), abs=0.02)
@@ -143,7 +149,7 @@ def test_attitudes_come_at_the_log_s_full_rate_with_the_gyros_rates(logs: dict[s
     assert bool(gimbal) is (promise.gimbal_deg is not None)
     for angles in gimbal:
         assert angles.is_of_camera and angles.reference == "earth"
-        assert angles.q_ref_gimbal == pytest.approx(quaternion(promise.gimbal_deg or DOWN_DEG), abs=1e-9)
+        assert angles.q_ref_gimbal == pytest.approx(quaternion(promise.gimbal_deg or DOWN_DEG), abs=promise.gimbal_abs)
 
 
 @ALL

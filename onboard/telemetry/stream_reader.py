@@ -1,0 +1,61 @@
+"""Telemetry in a transport stream: MISB's metadata next to the pictures (STANAG 4609) -> events."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from statistics import median
+
+from contract.errors import InputError
+from onboard.telemetry.misb import Reader, Sample, equivalent_mm
+from onboard.telemetry.read_options import ReadOptions
+from onboard.telemetry.row_events import SIGMA_GEOID_M, log_of_rows, with_heights
+from onboard.telemetry.telemetry_log import NS_PER_S, TelemetryLog
+from onboard.telemetry.transport_stream import metadata_of
+
+# Of when the video began, by its metadata: they come with the pictures of their moment, or some time after it, by how
+# much no file states.
+SIGMA_BEGAN_S = 0.5
+# A sender that does not state leap seconds counts UTC, or without those since the time system's beginning.
+SIGMA_LEAP_S = 29.0
+SAME_ZOOM = 0.01  # of a field of view, as a share: its steps, and what a lens breathes
+DIGITS_MM = 2
+
+
+def read_stream(path: Path, options: ReadOptions) -> TelemetryLog:
+    """Read the metadata in a transport stream. Raises InputError, without the file's name, for one without any, or
+    without positions in it.
+    """
+    try:
+        timed, damaged = _samples(path)
+    except OSError as error:
+        raise InputError(f"{error.strerror}") from error
+    if not timed:
+        raise InputError("no metadata that is known is in it (MISB ST 0601): give the flight's log")
+    rows = [(sample.stamp_ns, sample.row()) for _, sample in timed]
+    has_sea = any("height_amsl_m" in row for _, row in rows)
+    placed, of_heights = with_heights(rows, None, None if has_sea else options.undulation_m, SIGMA_GEOID_M)
+    notes = [f"{damaged} of {len(timed) + damaged} sets of metadata are damaged and are not used"] if damaged else []
+    sigma_s = 0.0 if all(sample.is_utc for _, sample in timed) else SIGMA_LEAP_S
+    log = log_of_rows(placed, [*notes, *of_heights], utc_sigma_s=sigma_s, is_repeated=True)
+    began_ns = round(median(sample.stamp_ns - time_s * NS_PER_S for time_s, sample in timed))
+    return replace(log, video_began=(began_ns, SIGMA_BEGAN_S), focal_mm=_focal_lengths([s for _, s in timed]))
+
+
+def _samples(path: Path) -> tuple[list[tuple[float, Sample]], int]:
+    """The samples of a file, each with its time on the video's own (s), and how many sets are damaged."""
+    reader = Reader()
+    timed = [(packet.time_s, s) for packet in metadata_of(path) for s in reader.samples(packet.content)]
+    return timed, reader.damaged
+
+
+def _focal_lengths(samples: list[Sample]) -> tuple[tuple[int, float], ...]:
+    """From which moment on the lens had which focal length, equivalent to film 36 mm wide."""
+    out: list[tuple[int, float]] = []
+    for sample in sorted(samples, key=lambda each: each.stamp_ns):
+        if sample.width_deg is not None and 0.0 < sample.width_deg < 180.0:  # half a turn has no length
+            focal_mm = equivalent_mm(sample.width_deg)
+            if not out or abs(math.log(focal_mm / out[-1][1])) > SAME_ZOOM:
+                out.append((sample.stamp_ns, round(focal_mm, DIGITS_MM)))
+    return tuple(out)
