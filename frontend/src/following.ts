@@ -24,7 +24,7 @@ export class Following {
   clicked(body: ClickBody): void {
     this.last = body;
     if (!this.state.mayChange || this.unfollowed(body) !== "") return; // the key G states why
-    const button = make("button", { type: "button", class: "follow-it", "data-testid": "follow-it", title: "the aircraft follows what was clicked (G)", click: () => void this.begin() }, "Follow it");
+    const button = make("button", { type: "button", class: "follow-it", "data-testid": "follow-it", title: "the aircraft follows what was clicked (G)", click: () => void this.begin() }, "Follow");
     byId("answer").append(button);
   }
 

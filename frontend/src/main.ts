@@ -11,12 +11,14 @@ import { Following, TrackList } from "./following.js";
 import { FoundList } from "./found.js";
 import { clock } from "./format.js";
 import type { MapPane } from "./map.js";
+import { layersMenu } from "./menu.js";
 import { PicturePane } from "./picture.js";
 import { PinList } from "./pins.js";
 import { Readout } from "./readout.js";
 import { KINDS, shapeSvg } from "./shapes.js";
-import { State, type Peek } from "./state.js";
+import { LARGE, State, type Large, type Peek } from "./state.js";
 import { StatusStrip } from "./strip.js";
+import { TimeMarks } from "./time-marks.js";
 import type { News, Pin, SeenPicture, ServerEvent } from "./types.js";
 import { Viewer } from "./viewer.js";
 
@@ -145,6 +147,11 @@ function drawOptions(): void {
   for (const [id, on] of [["show-features", state.peeks.has("features")], ["show-paths", state.peeks.has("paths")], ["show-pictures", options.pictures]] as const) {
     byId(id).setAttribute("aria-pressed", String(on));
   }
+  if (document.body.dataset["view"] !== options.view) {
+    document.body.dataset["view"] = options.view;
+    mapPane?.resize();
+  }
+  for (const button of byId("views").children) button.setAttribute("aria-pressed", String((button as HTMLElement).dataset["view"] === options.view));
   byId<HTMLInputElement>("who").value = options.who;
   byId<HTMLSelectElement>("theme").value = options.theme;
   for (const button of byId("kinds").children) button.setAttribute("aria-pressed", String((button as HTMLElement).dataset["kind"] === options.category));
@@ -191,7 +198,7 @@ function run(what: Promise<unknown>): void {
 
 function wire(): void {
   for (const kind of KINDS) {
-    byId("kinds").append(make("button", { type: "button", class: "kind", "data-kind": kind.word, title: `the next pin is a ${kind.title.toLowerCase()} (${KINDS.indexOf(kind) + 1})`, click: () => state.set({ category: kind.word }) }, shapeSvg(kind, 20), make("span", {}, kind.word === "poi" ? "Point" : kind.title)));
+    byId("kinds").append(make("button", { type: "button", class: "kind", "data-kind": kind.word, title: `the next pin is a ${kind.title.toLowerCase()} (${KINDS.indexOf(kind) + 1})`, click: () => state.set({ category: kind.word }) }, shapeSvg(kind, 20), make("span", {}, kind.word === "poi" ? "POI" : kind.title)));
   }
   const press = (id: string, action: () => void): void => byId(id).addEventListener("click", action);
   press("freeze", () => viewer.freeze(!state.isFrozen));
@@ -203,6 +210,8 @@ function wire(): void {
   for (const what of ["features", "paths"] as Peek[]) press(`show-${what}`, () => state.peek(what));
   for (const tab of ["map", "pins"]) press(`tab-${tab}`, () => showTab(tab));
   press("more", () => byId("more").setAttribute("aria-expanded", String(document.body.classList.toggle("more"))));
+  for (const button of byId("views").children) button.addEventListener("click", () => state.set({ view: (button as HTMLElement).dataset["view"] as Large }));
+  layersMenu();
   press("show-pictures", () => state.set({ pictures: !state.options.pictures }));
   press("undo", () => void undo(false));
   press("redo", () => void undo(true));
@@ -236,6 +245,7 @@ function keyed(event: KeyboardEvent): void {
   const actions: Record<string, () => void> = {
     " ": () => viewer.freeze(!state.isFrozen), ArrowLeft: () => viewer.step(-1), ArrowRight: () => viewer.step(1),
     "+": () => picture.zoom(1.5), "-": () => picture.zoom(1 / 1.5), "0": () => picture.whole(),
+    m: () => state.set({ view: LARGE[(LARGE.indexOf(state.options.view) + 1) % LARGE.length]! }),
     f: () => state.peek("features"), p: () => state.peek("paths"),
     "/": () => byId("filter").focus(), "?": () => byId<HTMLDialogElement>("help-dialog").showModal(),
     u: () => void undo(false), g: () => void following.begin(), t: () => state.setMode({ kind: "tie" }), h: () => { if (selected !== undefined) handOff(selected); },
@@ -250,6 +260,7 @@ function keyed(event: KeyboardEvent): void {
 async function begin(): Promise<void> {
   new StatusStrip(state, viewer);
   new AgeBadge(state);
+  new TimeMarks(state);
   new PinList(state, {
     handoff: handOff,
     open: (vehicle, frame, u, v) => { viewer.open(vehicle, frame); picture.reveal({ u, v }); },

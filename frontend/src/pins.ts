@@ -4,6 +4,7 @@
 import { api } from "./api.js";
 import { byId, make, setText } from "./dom.js";
 import { degrees, distance, heightText, methodWords, moment, radius, sentence, within, WITHIN_TITLE } from "./format.js";
+import { Menu } from "./menu.js";
 import { KINDS, kindOf, shapeSvg } from "./shapes.js";
 import type { State } from "./state.js";
 import type { Category, Pin } from "./types.js";
@@ -40,7 +41,7 @@ export class PinList {
     this.filter.addEventListener("input", () => this.refresh());
     new ResizeObserver(() => { this.height = this.list.clientHeight; this.draw(); }).observe(this.list);
     for (const kind of KINDS) {
-      const button = make("button", { type: "button", class: "chip", "aria-pressed": "true", title: `show ${kind.title.toLowerCase()}s`, "aria-label": `show ${kind.title.toLowerCase()}s` }, shapeSvg(kind, 18));
+      const button = make("button", { type: "button", class: "chip", "aria-pressed": "true", title: `show ${kind.title.toLowerCase()}s`, "aria-label": `show ${kind.title.toLowerCase()}s` }, shapeSvg(kind, 18), kind.title);
       button.addEventListener("click", () => {
         const isHidden = this.hidden.has(kind.word);
         if (isHidden) this.hidden.delete(kind.word); else this.hidden.add(kind.word);
@@ -49,6 +50,7 @@ export class PinList {
       });
       byId("filter-kinds").append(button);
     }
+    new Menu(byId("kinds-shown"), byId("filter-kinds"));
     state.on(["pins"], () => this.later());
     state.on(["hover", "selected"], () => this.mark());
     state.on(["selected"], () => { this.showCard(); this.reveal(); });

@@ -11,13 +11,18 @@ export type Mode = { kind: "pin" } | { kind: "again"; pin: string } | { kind: "t
 /** What is shown over the picture for a few seconds when asked for: it hides what is looked for. */
 export type Peek = "features" | "paths";
 
+/** What is large: the picture, the map, or both as large. */
+export type Large = "picture" | "both" | "map";
+export const LARGE: readonly Large[] = ["picture", "both", "map"];
+
 export interface Options {
   isMuted: boolean; pictures: boolean; theme: "auto" | "day" | "night"; who: string; category: Category;
+  view: Large;
 }
 
 const STORED = "pointclick.options";
 const PEEK_MS = 6000;
-const DEFAULTS: Options = { isMuted: false, pictures: true, theme: "auto", who: "", category: "poi" };
+const DEFAULTS: Options = { isMuted: false, pictures: true, theme: "auto", who: "", category: "poi", view: "picture" };
 
 export class State {
   server: ServerStatus | null = null;

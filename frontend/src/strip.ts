@@ -1,31 +1,51 @@
-// One tile for each aircraft: how it is in words, how old what is seen is, how the link is. Of many the tiles are small.
+// One pill for each aircraft: green, amber or red, its name and how old what is seen is. Words when it is pressed.
 
 import { byId, make, setText } from "./dom.js";
 import { GROUPS, groupTitle, isWanted, MANY } from "./fleet.js";
-import { age, sentence, within } from "./format.js";
+import { age, distance, sentence, within } from "./format.js";
 import { AIRCRAFT } from "./shapes.js";
 import type { State } from "./state.js";
 import type { VehicleState } from "./types.js";
 import type { Viewer } from "./viewer.js";
 
 const SIGNS = { well: "●", warning: "▲", lost: "✕" } as const;
-const FEW = 2; // of more than that only the chosen one has its figures
+const FEW = 4; // more have a line of their own
 
 export class StatusStrip {
   private readonly strip = byId("status-strip");
+  private readonly card = byId("craft-card");
   private readonly tiles = new Map<string, HTMLButtonElement>();
   private readonly find = byId<HTMLInputElement>("find-aircraft");
   private readonly titles = GROUPS.map((group) => make("span", { class: "group", "data-group": group }));
+  private opened: string | null = null; // the aircraft whose card is open
 
   constructor(private readonly state: State, private readonly viewer: Viewer) {
     this.strip.append(...this.titles);
     this.find.addEventListener("input", () => this.draw());
     state.on(["vehicles", "link"], () => this.draw());
+    document.addEventListener("pointerdown", (event) => {
+      const at = event.target as Node;
+      if (!this.card.contains(at) && !this.strip.contains(at)) this.open(null);
+    });
+    document.addEventListener("keydown", (event) => { if (event.key === "Escape") this.open(null); });
+  }
+
+  /** A press chooses an aircraft; on the chosen one it opens or closes its card. */
+  private pressed(vehicle: string): void {
+    if (this.state.vehicle === vehicle) { this.open(this.opened === vehicle ? null : vehicle); return; }
+    this.opened = null;
+    this.viewer.choose(vehicle);
+  }
+
+  private open(vehicle: string | null): void {
+    if (this.opened === vehicle) return;
+    this.opened = vehicle;
+    this.draw();
   }
 
   private draw(): void {
     const { vehicles } = this.state;
-    this.strip.classList.toggle("many", vehicles.length > FEW);
+    document.body.classList.toggle("many-aircraft", vehicles.length > FEW);
     const isGrouped = vehicles.length > MANY, text = isGrouped ? this.find.value.trim() : "";
     this.find.hidden = !isGrouped;
     this.titles.forEach((title, k) => {
@@ -35,27 +55,42 @@ export class StatusStrip {
     vehicles.forEach((vehicle, k) => {
       let tile = this.tiles.get(vehicle.id);
       if (tile === undefined) {
-        tile = make("button", { type: "button", class: "craft", "data-vehicle": vehicle.id, click: () => this.viewer.choose(vehicle.id) },
-          make("i", { class: "swatch" }), make("span", { class: "sign" }), make("strong", {}, vehicle.id),
-          make("span", { class: "words" }), make("span", { class: "advice" }), make("span", { class: "figures" }));
+        tile = make("button", { type: "button", class: "craft", "data-vehicle": vehicle.id, "aria-controls": "craft-card", click: () => this.pressed(vehicle.id) },
+          make("i", { class: "swatch" }), make("span", { class: "sign" }), make("strong", {}, vehicle.id), make("span", { class: "figure" }));
         (tile.firstElementChild as HTMLElement).style.background = AIRCRAFT[k % AIRCRAFT.length]!;
         this.tiles.set(vehicle.id, tile);
         this.strip.append(tile);
       }
-      const isUnsure = vehicle.is_live && !this.state.isConnected, isChosen = vehicle.id === this.state.vehicle;
-      const words = isUnsure ? "server not reached" : vehicle.words, isShort = vehicles.length > FEW && !isChosen;
+      const isChosen = vehicle.id === this.state.vehicle, state = this.stateOf(vehicle);
       tile.hidden = !isChosen && !isWanted(vehicle, text);
       tile.style.order = isGrouped && !isChosen ? String(2 * GROUPS.indexOf(vehicle.state) + 1) : "";
-      tile.dataset["state"] = isUnsure ? "lost" : vehicle.state;
+      tile.dataset["state"] = state;
       tile.setAttribute("aria-pressed", String(isChosen));
-      setText(tile.children[1] as HTMLElement, SIGNS[isUnsure ? "lost" : vehicle.state]);
-      setText(tile.children[3] as HTMLElement, isShort ? "" : words);
-      const advice = isUnsure || vehicle.state !== "well" || vehicle.radius === "" ? "" : sentence(vehicle.radius);
-      setText(tile.children[4] as HTMLElement, isShort ? "" : advice);
-      setText(tile.children[5] as HTMLElement, isShort ? shortFigure(vehicle) : figures(vehicle));
-      tile.title = [vehicle.id, words, vehicle.trouble, figures(vehicle), advice].filter((text) => text !== "").join("; ");
+      tile.setAttribute("aria-expanded", String(this.opened === vehicle.id));
+      setText(tile.children[1] as HTMLElement, SIGNS[state]);
+      setText(tile.children[3] as HTMLElement, shortFigure(vehicle));
+      tile.title = [vehicle.id, ...this.facts(vehicle).map(([, words]) => words)].join("; ");
     });
     byId("no-vehicles").hidden = vehicles.length > 0;
+    this.drawCard(vehicles.find((one) => one.id === this.opened && one.id === this.state.vehicle));
+  }
+
+  private stateOf(v: VehicleState): VehicleState["state"] { return this.isUnsure(v) ? "lost" : v.state; }
+
+  private isUnsure(v: VehicleState): boolean { return v.is_live && !this.state.isConnected; }
+
+  private facts(v: VehicleState): [string, string][] {
+    return facts(v, this.isUnsure(v) ? "server not reached" : v.words);
+  }
+
+  private drawCard(v: VehicleState | undefined): void {
+    this.card.hidden = v === undefined;
+    if (v === undefined) { this.opened = null; return; }
+    const rows = this.facts(v), text = JSON.stringify([v.id, rows]);
+    this.card.dataset["state"] = this.stateOf(v);
+    if (this.card.dataset["shown"] === text) return;
+    this.card.dataset["shown"] = text;
+    this.card.replaceChildren(make("h2", {}, v.id), make("dl", {}, ...rows.flatMap(([name, words]) => [make("dt", {}, name), make("dd", {}, words)])));
   }
 }
 
@@ -64,14 +99,26 @@ function shortFigure(v: VehicleState): string {
   return v.is_lost ? `lost ${age(v.heard_age_s)}` : age(v.picture_age_s);
 }
 
-function figures(v: VehicleState): string {
-  const parts: string[] = [];
-  if (v.is_live) parts.push(v.is_lost ? `lost ${age(v.heard_age_s)} ago` : `picture ${age(v.picture_age_s)} old`);
-  if (v.ce90_centre_m !== null) parts.push(`${within(v.ce90_centre_m)} at the centre`);
-  if (v.sets_hz !== null && !v.is_lost) parts.push(`${v.sets_hz.toFixed(1)} /s, ${v.kbit_s ?? 0} kbit/s`);
-  if (v.person_found !== null) parts.push(`a person would be found on ${Math.floor(100 * v.person_found)} %`);
-  parts.push(`${v.tracks ?? v.features} points`);
-  if (v.cpu_c !== null) parts.push(`computer ${v.cpu_c.toFixed(0)} °C`);
-  if (v.recording === true) parts.push("recording");
-  return parts.join(" · ");
+/** What is known of an aircraft, as names and words. */
+function facts(v: VehicleState, state: string): [string, string][] {
+  const rows: [string, string | null][] = [
+    ["State", state],
+    ["Trouble", v.trouble],
+    ["Picture", !v.is_live ? null : v.is_lost ? `nothing received for ${age(v.heard_age_s)}` : `${age(v.picture_age_s)} old`],
+    ["Height", heights(v)],
+    ["Radius", v.ce90_centre_m === null ? null : `${within(v.ce90_centre_m)} at the picture's centre`],
+    ["Smaller by", v.state === "well" || !v.is_live ? sentence(v.radius) : null],
+    ["Link", v.sets_hz === null || v.is_lost ? null : `${v.sets_hz.toFixed(1)} sets/s, ${v.kbit_s ?? 0} kbit/s`],
+    ["Tracking", `${v.tracks ?? v.features} features`],
+    ["People", v.person_found === null ? null : `a person would be found on ${Math.floor(100 * v.person_found)} % of the ground in view`],
+    ["Computer", v.cpu_c === null ? null : `${v.cpu_c.toFixed(0)} °C`],
+    ["Recording", v.recording === null ? null : v.recording ? "yes" : "no"],
+  ];
+  return rows.filter((row): row is [string, string] => row[1] !== null && row[1] !== "");
+}
+
+/** Of the newest picture. */
+function heights(v: VehicleState): string | null {
+  if (v.height_above_ground_m === null) return null;
+  return `${distance(v.height_above_ground_m)} above the ground in view${v.height_amsl_m === null ? "" : `, ${v.height_amsl_m.toFixed(0)} m above sea level`}`;
 }

@@ -60,6 +60,8 @@ export interface VehicleState {
   clock_unix_ns: string | null; place: [number, number] | null;
   recording: boolean | null; trouble: string;
   unfollowed: string; // why it follows nothing that is clicked; empty: it may be asked
+  height_above_ground_m: number | null; // of the camera at the newest picture, over the ground at its centre
+  height_amsl_m: number | null;
   person_found: number | null; // on which share of the ground in view its search for heat would find a person
   radius: string; // what the ellipse is mostly from, and what would make it smaller; empty: not known
 }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import time
 from typing import Annotated, Any
 
@@ -11,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from contract.answer import EXPLANATIONS, Fix
 from contract.error_sources import in_a_line
-from contract.feature_set import FeatureSet
+from contract.feature_set import FeatureSet, HeightDatum
 from ground.circular_error import ce90_m
 from ground.pins.fusion import Place
 from ground.web.advice import ADVICE
@@ -166,11 +167,13 @@ def vehicle_json(context: ServerContext, vehicle: str) -> dict[str, Any]:
     found = None
     if report.newest_frame is not None:
         found = context.source.feature_set(vehicle, report.session, report.newest_frame)
-    centre_m = None
+    centre_m = above_m = None
     if found is not None and found.is_ok:
         c = found.camera
         answer = context.clicker.locator(found).locate((0.5 * (c.width_px - 1), 0.5 * (c.height_px - 1)))
-        centre_m = round(ce90_m(answer.covariance_enu_m2[:2, :2]), 1) if isinstance(answer, Fix) else None
+        if isinstance(answer, Fix):
+            centre_m = round(ce90_m(answer.covariance_enu_m2[:2, :2]), 1)
+            above_m = -float(answer.offset_enu_m[2])
     return {
         "id": vehicle,
         "session": report.session,
@@ -188,6 +191,8 @@ def vehicle_json(context: ServerContext, vehicle: str) -> dict[str, Any]:
         "features": 0 if found is None else len(found),
         "tracks": None if status is None else status.tracks,
         "ce90_centre_m": centre_m,
+        "height_above_ground_m": _rounded(above_m),
+        "height_amsl_m": None if found is None else _rounded(_height_amsl_m(found)),
         "cpu_c": None if status is None else status.cpu_c,
         "recording": None if status is None else status.recording,
         "trouble": report.trouble,
@@ -204,6 +209,15 @@ def _state(report: VehicleReport, found: FeatureSet | None) -> str:
     is_old = report.received_age_s is not None and (report.picture_age_s or 0.0) > STALE_S
     is_well = report.status is None or report.status.state in ("ok", "at rest")
     return "well" if is_well and not is_old and found is not None and found.is_ok else "warning"
+
+
+def _height_amsl_m(s: FeatureSet) -> float | None:
+    """The camera's height above sea level; None where the set does not have it."""
+    if not s.is_ok:
+        return None
+    if s.height_datum is HeightDatum.AMSL:
+        return s.camera_height_m
+    return None if math.isnan(s.undulation_m) else s.camera_height_m - s.undulation_m
 
 
 def _clock(report: VehicleReport, found: FeatureSet | None) -> str | None:

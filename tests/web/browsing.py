@@ -15,6 +15,11 @@ _NO_WEBGL = """const made = HTMLCanvasElement.prototype.getContext;
 HTMLCanvasElement.prototype.getContext = function (kind, ...more) {
   return kind.startsWith('webgl') ? null : made.call(this, kind, ...more);
 };"""
+# What is too small for a finger in a glove, of all that is pressed and seen.
+_SMALL = """() => [...document.querySelectorAll('button, input, select, textarea, summary, a')]
+  .filter(e => e.offsetParent !== null && !e.closest('.maplibregl-ctrl-attrib'))
+  .map(e => [e, e.getBoundingClientRect()]).filter(([e, b]) => b.height > 0 && (b.width < 43.9 || b.height < 43.9))
+  .map(([e, b]) => `${e.id || e.textContent || e.className}: ${b.width.toFixed(1)} x ${b.height.toFixed(1)}`)"""
 
 
 class Operator:
@@ -109,6 +114,11 @@ class Operator:
         """Go to a picture by the time bar."""
         self.page.locator("#time-bar").fill(str(simulated.frames.index(frame)))
         self.wait_for_frame(frame)
+
+    def small(self) -> list[str]:
+        """Which controls that are seen are smaller than 44 pixels."""
+        found: list[str] = self.page.evaluate(_SMALL)
+        return found
 
     def tidy(self) -> None:
         """As the page was at first, for whoever comes next."""

@@ -60,7 +60,6 @@ def on_a_laptop(browser: Any, server: Server, simulated: Simulated) -> None:
         anna.wait_for_pins(count)
         anna.page.request.patch(f"{server.local}api/pins/{anna.newest_pin()['id']}", data={"name": title})
     anna.by("pin").filter(has_text="red jacket").click()
-    anna.page.get_by_text("Pictures", exact=True).click()
     anna.page.mouse.move(*anna.at(400.0, 250.0))
     anna.page.wait_for_timeout(2000.0)  # the map draws
     save(anna.page.screenshot(), "web.jpg")

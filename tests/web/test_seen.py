@@ -178,7 +178,9 @@ def test_the_pictures_of_a_place_are_found_within_50_ms_after_an_hour() -> None:
 def test_a_place_on_the_map_leads_to_the_pictures_that_show_it(anna: Operator, simulated: Simulated) -> None:
     page = anna.page
     assert page.locator("#seen-panel").is_hidden()
+    page.get_by_test_id("layers").click()
     page.get_by_test_id("show-seen").click()
+    page.keyboard.press("Escape")
     page.wait_for_function("() => document.querySelector('[data-testid=seen-sum]').dataset.ahead === '0'")
     assert "ha in" in anna.by("seen-sum").inner_text() and "pictures" in anna.by("seen-sum").inner_text()
     legend = page.locator(".seen-legend").inner_text()
@@ -212,7 +214,9 @@ def test_a_place_on_the_map_leads_to_the_pictures_that_show_it(anna: Operator, s
     assert reported["v_px"] == pytest.approx(click["v_px"], abs=2.0)
     page.get_by_test_id("seen-by").select_option("count")
     assert "20 or more" in page.locator(".seen-legend").inner_text()
+    page.get_by_test_id("layers").click()
     page.get_by_test_id("show-seen").click()
+    page.keyboard.press("Escape")
     assert page.locator("#seen-panel").is_hidden()
 
 

@@ -168,7 +168,7 @@ def test_a_find_alarms_is_confirmed_or_dismissed_and_the_sound_can_be_muted(
     page.wait_for_selector("[data-testid=found][data-spot='3'][data-news=yes]")
     assert page.evaluate("window.tones") == tones
     assert anna.by("found-count").inner_text() == "Hot spots 3, the likeliest person 90 %"
-    assert eventually(lambda: "a person would be found on 96 %" in page.locator("#status-strip").inner_text())
+    assert eventually(lambda: "a person would be found on 96 %" in page.locator(".craft").get_attribute("title"))
     rows = {row.get_attribute("data-spot"): row.bounding_box()["y"] for row in anna.by("found").all()}
     assert rows["3"] < rows["2"] < rows["1"]
     assert "a person, 90 % likely, 20.0 degC" in page.locator("[data-spot='3'] .track-words").inner_text()
@@ -185,6 +185,8 @@ def test_a_find_alarms_is_confirmed_or_dismissed_and_the_sound_can_be_muted(
     page.reload()
     page.wait_for_selector("[data-testid=found]")
     assert anna.by("found").first.get_attribute("data-news") is None and anna.by("mute").inner_text() == "Sound off"
+    flight.source.fly_to(9)  # the picture that shows it best has come
+    page.wait_for_selector("[data-testid=time-mark][data-kind=find]", state="attached")
 
 
 @pytest.mark.long
@@ -192,7 +194,9 @@ def test_a_fire_is_an_area_on_the_map_with_its_words(flying: Callable[[], tuple[
     flight, anna = flying()
     page = anna.page
     page.wait_for_function("() => document.querySelector('#grid-step').textContent.startsWith('grid ')")
+    page.get_by_test_id("layers").click()
     page.get_by_test_id("show-fire").click()
+    page.keyboard.press("Escape")
     page.wait_for_function(
         "() => document.querySelector('[data-testid=fire-words]').textContent.includes('No picture')"
     )
@@ -208,5 +212,7 @@ def test_a_fire_is_an_area_on_the_map_with_its_words(flying: Callable[[], tuple[
     assert [f["properties"]["kind"] for f in reported["features"]] == ["perhaps", "burned", "surely"]
     assert reported["features"][1]["properties"]["area_m2"] == pytest.approx(600.0, rel=0.1)
     assert page.request.get(f"{flight.local}api/fire?minutes=-1").status == 422
+    page.get_by_test_id("layers").click()
     page.get_by_test_id("show-fire").click()
+    page.keyboard.press("Escape")
     assert anna.by("fire-panel").is_hidden()

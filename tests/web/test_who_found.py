@@ -132,7 +132,9 @@ def wait_for_numbers(anna: Operator, text: str) -> None:
 
 def test_the_layer_states_whom_it_is_about_and_how_likely_in_each_sector(anna: Operator, tmp_path: Path) -> None:
     page = anna.page
+    page.get_by_test_id("layers").click()
     page.get_by_test_id("show-seen").click()
+    page.keyboard.press("Escape")
     page.wait_for_function("() => document.querySelector('[data-testid=seen-sum]').dataset.ahead === '0'")
     assert anna.by("sectors").is_hidden()
     with page.expect_request(lambda request: "/api/seen/tiles/" in request.url and "by=operator" in request.url):
@@ -160,4 +162,6 @@ def test_the_layer_states_whom_it_is_about_and_how_likely_in_each_sector(anna: O
     wait_for_numbers(anna, "holds no Polygon")
     page.get_by_test_id("seen-by").select_option("age")
     assert anna.by("sectors").is_hidden() and "under 1" in page.locator(".seen-legend").inner_text()
+    page.get_by_test_id("layers").click()
     page.get_by_test_id("show-seen").click()
+    page.keyboard.press("Escape")
