@@ -11,9 +11,9 @@ from contextlib import closing
 from pathlib import Path
 
 from contract.answer import Answer, Refusal
+from contract.circular_error import CE90_SIGMAS, LE90_SIGMAS
 from contract.errors import InputError
 from contract.locate import Locator
-from ground.circular_error import CE90_SIGMAS, LE90_SIGMAS
 from ground.commands import ANSWERED, REFUSED
 from ground.commands.grids import add_grid_arguments, grid_of
 from ground.commands.measure import text_of

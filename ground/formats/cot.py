@@ -16,6 +16,7 @@ from functools import partial
 import numpy as np
 
 from contract.answer import Fix
+from contract.circular_error import CE90_SIGMAS, LE90_SIGMAS, ce90_m, le90_m
 from contract.errors import InputError
 from contract.feature_set import FeatureSet, HeightDatum
 from contract.locate import Locator
@@ -23,7 +24,6 @@ from contract.mavlink_camera.messages import fields_of_view_deg
 from contract.rotations import R_ENU_NED, R_GIMBAL_CAM, euler_from_matrix
 from contract.track import TrackReport, TrackState
 from contract.xml_text import element
-from ground.circular_error import CE90_SIGMAS, LE90_SIGMAS, ce90_m, le90_m
 from ground.formats.imported import Imported, entered_pin
 from ground.formats.mark import MACHINE, Mark
 from ground.formats.xml_text import parsed

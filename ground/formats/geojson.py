@@ -14,8 +14,8 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
+from contract.circular_error import CE90_SIGMAS, LE90_SIGMAS
 from contract.errors import InputError
-from ground.circular_error import CE90_SIGMAS, LE90_SIGMAS
 from ground.formats.coordinates import Grid
 from ground.formats.imported import Imported, entered_pin
 from ground.formats.mark import Mark

@@ -9,9 +9,9 @@ import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from functools import partial
 
+from contract.circular_error import CE90_SIGMAS, LE90_SIGMAS
 from contract.errors import InputError
 from contract.xml_text import document, element
-from ground.circular_error import CE90_SIGMAS, LE90_SIGMAS
 from ground.formats.coordinates import Grid, figure, shape_values
 from ground.formats.imported import Imported, entered_pin
 from ground.formats.mark import Mark

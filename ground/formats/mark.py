@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from contract.answer import Answer, Ellipse, Refusal, time_utc
+from contract.circular_error import ce90_m, le90_m
 from contract.feature_set import Status
-from ground.circular_error import ce90_m, le90_m
 from ground.pins.fusion import Contradiction, Fused, Place, Unplaced
 from ground.pins.model import Pin
 from ground.spots.found_thing import FoundThing

@@ -10,8 +10,8 @@ import io
 from collections.abc import Sequence
 from functools import partial
 
+from contract.circular_error import CE90_SIGMAS, LE90_SIGMAS
 from contract.errors import InputError
-from ground.circular_error import CE90_SIGMAS, LE90_SIGMAS
 from ground.formats.coordinate_text import read_coordinate
 from ground.formats.coordinates import Grid
 from ground.formats.imported import Imported, entered_pin

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.answer import Ellipse
+from contract.circular_error import ce90_m, le90_m
 from contract.geodesy import LocalFrame
 from ground.chi_square import exceeded_with
-from ground.circular_error import ce90_m, le90_m
 from ground.pins.model import UNKNOWN_HEIGHT_SIGMA_M, PinClick, Tie
 from ground.pins.shared import CONTRADICTION
 from ground.pins.ties import condition

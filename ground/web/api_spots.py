@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, HTTPException, Path, Query, Response
 from pydantic import BaseModel, ConfigDict, Field
 
-from ground.circular_error import ce90_m
+from contract.circular_error import ce90_m
 from ground.formats import fire_area
 from ground.pins.machine import click_of, decision, decisions
 from ground.pins.model import MAX_NAME, MAX_WHO, Category, Pin

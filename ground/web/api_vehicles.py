@@ -11,9 +11,9 @@ from fastapi import APIRouter, HTTPException, Path, Query, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 
 from contract.answer import EXPLANATIONS, Fix
+from contract.circular_error import ce90_m
 from contract.error_sources import in_a_line
 from contract.feature_set import FeatureSet, HeightDatum
-from ground.circular_error import ce90_m
 from ground.pins.fusion import Place
 from ground.web.advice import ADVICE
 from ground.web.clicks import Clicked

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.answer import EXPLANATIONS, Fix, time_utc
+from contract.circular_error import ce90_m
 from contract.feature_set import FeatureSet, HeightDatum
 from contract.geodesy import LocalFrame
 from contract.kriging import MIN_PLANE_SHARE
 from contract.locate import Locator, pixels_of
-from ground.circular_error import ce90_m
 from ground.seen.picture_cells import GroundPlane, pixel_of
 from ground.web.advice import ADVICE
 
