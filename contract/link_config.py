@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from contract.errors import LinkError
+from contract.look import look_key
 from contract.topics import ANY_VEHICLE, FOLLOW, TOPICS
 
 OPEN_TIMEOUT_MS = 2000
@@ -53,6 +54,23 @@ class Tls:
         return found
 
 
+@dataclass(frozen=True)
+class Rights:
+    """Common names of the certificates that an aircraft lets do more, or anything.
+
+    Of others it takes subscriptions and queries and nothing else: of those in `allowed`, if any are named. Of these,
+    only the `trackers` may begin and end tracks, if any are named. Only the `pointers` may have the camera look
+    somewhere, each in its own name: where none are named no one may.
+    """
+
+    allowed: Sequence[str] = ()
+    trackers: Sequence[str] = ()
+    pointers: Sequence[str] = ()
+
+
+NO_RIGHTS = Rights()
+
+
 def link_config(
     mode: str,
     *,
@@ -61,16 +79,14 @@ def link_config(
     scouting: bool = False,
     tls: Tls | None = None,
     is_aircraft: bool = False,
-    allowed: Sequence[str] = (),
-    trackers: Sequence[str] = (),
+    rights: Rights = NO_RIGHTS,
 ) -> str:
     """Text for `zenoh.Config.from_json5`.
 
     A "peer" goes on without those it connects to and tries them again every 0.5 to 1 s, without end; a "client" tries
     once and fails at once. With `tls` both ends must show a certificate of its authority, and no other kind of endpoint
-    is taken: LinkError. An aircraft takes subscriptions and queries and nothing else from others; with `tls`, of those
-    whose certificate's common name is in `allowed`, if any are named. Of those, only the `trackers` may begin and end
-    tracks, if any are named.
+    is taken: LinkError. Others have `rights` at an aircraft by their certificates: without `tls` no one has
+    a name, all may listen, ask and have things followed, and no one may have the camera look somewhere.
     """
     is_client = mode == "client"
     # What the system buffers while a link is cut is delay when it is back: a small buffer, and small batches.
@@ -112,7 +128,7 @@ def link_config(
     if mode == "peer" and not is_aircraft:
         config["region_name"] = GROUND_REGION
     if is_aircraft:
-        config["access_control"] = _access(allowed, trackers) if tls is not None else _access((), ())
+        config["access_control"] = _access(rights if tls is not None else NO_RIGHTS)
     return json.dumps(config)
 
 
@@ -146,10 +162,13 @@ def passing_only(key: str) -> dict[str, Any]:
     }
 
 
-def _access(allowed: Sequence[str], trackers: Sequence[str]) -> dict[str, Any]:
-    """Others may subscribe and query, and nothing else: no sample, reply or queryable of theirs is let through."""
+def _access(rights: Rights) -> dict[str, Any]:
+    """Others may subscribe and query, and nothing else: no sample, reply or queryable of theirs is let through.
+
+    What may be queried is listed key by key: `pc/**` would reach the queryables of rights that have to be given.
+    """
     everything, follow = ["pc/**"], [FOLLOW.key(ANY_VEHICLE)]
-    asked = [topic.key(ANY_VEHICLE) for topic in TOPICS] if trackers else everything
+    asked = [topic.key(ANY_VEHICLE) for topic in TOPICS] + ([] if rights.trackers else follow)
 
     def rule(name: str, flow: str, messages: Sequence[str], keys: Sequence[str]) -> dict[str, Any]:
         return {"id": name, "permission": "allow", "flows": [flow], "messages": list(messages), "key_exprs": list(keys)}
@@ -166,13 +185,17 @@ def _access(allowed: Sequence[str], trackers: Sequence[str]) -> dict[str, Any]:
     ]
     policies = [{"rules": [rule["id"] for rule in rules], "subjects": ["grounds"]}]
     grounds: dict[str, Any] = {"id": "grounds"}
-    if allowed:
-        grounds["cert_common_names"] = list(allowed)
+    if rights.allowed:
+        grounds["cert_common_names"] = list(rights.allowed)
     subjects = [grounds]
-    if trackers:
+    if rights.trackers:
         rules.append(rule("follow", "ingress", ("query",), follow))
-        subjects.append({"id": "trackers", "cert_common_names": list(trackers)})
+        subjects.append({"id": "trackers", "cert_common_names": list(rights.trackers)})
         policies.append({"rules": ["follow"], "subjects": ["trackers"]})
+    for name in rights.pointers:
+        rules.append(rule(f"look as {name}", "ingress", ("query",), [look_key(ANY_VEHICLE, name)]))
+        subjects.append({"id": f"pointer {name}", "cert_common_names": [name]})
+        policies.append({"rules": [f"look as {name}"], "subjects": [f"pointer {name}"]})
     return {
         "enabled": True,
         "default_permission": "deny",

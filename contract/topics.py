@@ -105,6 +105,10 @@ REPORTS = tuple(topic for topic in TOPICS if topic.share)
 # Queries alone (14), which begin and end tracks: a key of its own, so that rights can name it.
 FOLLOW = Topic("pc/{vehicle}/follow", QUERY)
 
+# Queries alone (16), which have the camera look at a place: pc/<vehicle>/look/<name of who asks>, so that a right to
+# ask in a name is a right to one key.
+LOOK = Topic("pc/{vehicle}/look", QUERY)
+
 # A liveliness token, there as long as the aircraft is: who is there is known without a message of anybody's.
 ALIVE = Topic("pc/{vehicle}/alive", QUERY)
 

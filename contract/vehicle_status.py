@@ -14,9 +14,10 @@ from typing import Any
 from contract.errors import CorruptPayload, NewerPayload
 
 VERSION = 1
-MAX_BYTES = 300
+MAX_BYTES = 400
 MAX_STATE = 24
 MAX_REASON = 50
+MAX_LOOK = 80
 MAX_SHARES = 3
 MAX_CODE = 12
 
@@ -40,6 +41,8 @@ class VehicleStatus:
     recording: bool = False
     cpu_c: float | None = None  # its temperature
     follows: bool = False  # whether it follows what it is asked to (`contract.track`)
+    looks: bool = False  # whether anybody may have its camera look at a place (`contract.look`)
+    look: str = ""  # who had it look where last, and what the autopilot made of it
     # Of a click's variance in the middle of the newest picture, per cent by code (`contract.error_sources`); the
     # largest, or none while they are not known.
     shares: Mapping[str, int] = field(default_factory=dict)
@@ -56,12 +59,14 @@ def encode_status(status: VehicleStatus) -> bytes:
     for key, digits in (("unix_s", 3), ("up_s", 0), ("camera_hz", 1), ("ok_hz", 1), ("delay_s", 3)):
         content[key] = _number(content[key], digits)
     content["state"], content["reason"] = status.state[:MAX_STATE], _plain(status.reason)[:MAX_REASON]
+    content["look"] = _plain(status.look)[:MAX_LOOK]
+    for key in ("follows", "looks", "look"):
+        if not content[key]:
+            del content[key]
     if status.shares:
         content["shares"] = dict(list(status.shares.items())[:MAX_SHARES])
     else:
         del content["shares"]
-    if not status.follows:
-        del content["follows"]
     if status.cpu_c is None:
         del content["cpu_c"]
     else:
@@ -118,10 +123,12 @@ def decode_status(payload: bytes) -> VehicleStatus:
 def _check_sizes(values: Mapping[str, Any]) -> None:
     if len(values["state"]) > MAX_STATE or len(values.get("reason", "")) > MAX_REASON:
         raise CorruptPayload("status with a state or reason too long")
+    if len(values.get("look", "")) > MAX_LOOK:
+        raise CorruptPayload("status with a look too long")
     if len(values.get("shares", {})) > MAX_SHARES:
         raise CorruptPayload(f"status with more than {MAX_SHARES} shares")
-    if not all(text.isprintable() for text in (values["state"], values.get("reason", ""))):
-        raise CorruptPayload("status with a state or reason that cannot be printed")
+    if not all(text.isprintable() for text in (values["state"], values.get("reason", ""), values.get("look", ""))):
+        raise CorruptPayload("status with a state, reason or look that cannot be printed")
 
 
 def _is_whole(value: object) -> bool:

@@ -23,6 +23,7 @@ COMMANDS = {
     "live": ("ground.web.live_command", "the downlink's video and the radio's telemetry, on this machine"),
     "click": ("ground.commands.click", "a pixel's position on the ground"),
     "track": ("ground.commands.track", "follow what is at a pixel: where it goes, how fast and where to"),
+    "look": ("ground.commands.look", "have the camera look at what is at a pixel, where that is allowed"),
     "vehicles": ("ground.commands.vehicles", "which aircraft are there, and how they are"),
     "watch": ("ground.commands.watch", "a live table of the aircraft"),
     "measure": ("ground.commands.measure", "distance, bearing and height difference between two pixels"),

@@ -123,6 +123,16 @@ def several_aircraft(endpoint: str, there: Sequence[str]) -> LinkError:
     return LinkError(f"several aircraft are at {endpoint}: {', '.join(there)}; choose one with --vehicle")
 
 
+def only_vehicle(session: Any, endpoint: str) -> str:
+    """The vehicle at an endpoint where there is one. Raises LinkError if there is none, or there are several."""
+    there = vehicles_there(session)
+    if len(there) == 1:
+        return there[0]
+    if there:
+        raise several_aircraft(endpoint, there)
+    raise LinkError(f"no aircraft answers at {endpoint}")
+
+
 def _replies(
     session: Any, vehicle: str, parameters: str, dropped: DroppedMessages, timeout_s: float = ANSWER_TIMEOUT_S
 ) -> dict[str, Reply]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import queue
 import time
 from types import TracebackType
@@ -15,16 +14,12 @@ from contract.link_config import Tls
 from contract.topics import FOLLOW, TRACKS
 from contract.track import ListTracks, StartTrack, TrackReport, TrackRequest, parameters_of
 from contract.wire.message import TRACK_REPORTS
-from ground.client import open_link, put_question, running_session, several_aircraft
-from ground.presence import vehicles_there
+from ground.client import only_vehicle, open_link, running_session
+from ground.put_request import put_request
 
 MOST_WAITING = 1000  # reports that have not been taken
 ASK_AGAIN_S = 5.0  # which session runs, where reports of another come
 TRIES = 3  # a question to begin the same track again is answered with the same track
-
-
-class TrackRefused(LinkError):
-    """The aircraft does not do what was asked; the message is its reason."""
 
 
 class TrackLink:
@@ -37,7 +32,7 @@ class TrackLink:
         self._running: int | None = None  # session, as the aircraft answered last; None: it gives no answer
         self._asked_s = -ASK_AGAIN_S
         try:
-            self.vehicle = vehicle or self._only_one(endpoint)
+            self.vehicle = vehicle or only_vehicle(self._session, endpoint)
             self._subscriber = self._session.declare_subscriber(TRACKS.key(self.vehicle), self._receive)
         except (zenoh.ZError, ValueError) as error:
             self.close()
@@ -47,20 +42,16 @@ class TrackLink:
             raise
 
     def ask(self, request: TrackRequest) -> dict[str, Any]:
-        """The aircraft's answer. Raises TrackRefused with its reason, LinkError if it gives none."""
+        """The aircraft's answer. Raises RequestRefused with its reason, LinkError if it gives none."""
         parameters = parameters_of(request)
         selector = FOLLOW.key(self.vehicle) + (f"?{parameters}" if parameters else "")
         is_same_again = isinstance(request, ListTracks) or (
             isinstance(request, StartTrack) and request.frame is not None
         )
-        for _ in range(TRIES if is_same_again else 1):
-            for reply in put_question(self._session, selector):
-                content = _object((reply.ok or reply.err).payload.to_bytes())
-                if reply.ok is not None:
-                    return content
-                if "reason" in content:
-                    raise TrackRefused(f"{content.get('status', 'refused')}: {content['reason']}")
-        raise LinkError(f"aircraft {self.vehicle!r} does not answer; may this certificate follow?")
+        answer = put_request(self._session, selector, tries=TRIES if is_same_again else 1)
+        if answer is None:
+            raise LinkError(f"aircraft {self.vehicle!r} does not answer; may this certificate follow?")
+        return answer
 
     def next(self, timeout_s: float) -> TrackReport | None:
         """The next report; None if none came in time. One of a session that does not run is left out and counted."""
@@ -86,14 +77,6 @@ class TrackLink:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self.close()
 
-    def _only_one(self, endpoint: str) -> str:
-        there = vehicles_there(self._session)
-        if len(there) == 1:
-            return there[0]
-        if there:
-            raise several_aircraft(endpoint, there)
-        raise LinkError(f"no aircraft answers at {endpoint}")
-
     def _receive(self, sample: zenoh.Sample) -> None:
         """Queue a message's reports, called in zenoh's thread; the oldest go where the queue is full."""
         try:
@@ -105,12 +88,3 @@ class TrackLink:
             if self._reports.full():
                 self._reports.get_nowait()
             self._reports.put_nowait(report)
-
-
-def _object(payload: bytes) -> dict[str, Any]:
-    """A JSON object; empty for anything else."""
-    try:
-        reply = json.loads(payload)
-    except (ValueError, RecursionError):
-        return {}
-    return {str(key): value for key, value in reply.items()} if isinstance(reply, dict) else {}

@@ -79,7 +79,8 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(f"--out {args.out}: a name that ends with .geojson or .kml")
     if args.recording is not None:
         return _recorded(args)
-    from ground.track_link import TrackLink, TrackRefused  # noqa: PLC0415  zenoh is loaded only where there is a link
+    from ground.put_request import RequestRefused  # noqa: PLC0415  zenoh is loaded only where there is a link
+    from ground.track_link import TrackLink  # noqa: PLC0415
 
     tls = tls_of(args)
     with TrackLink(endpoint_of(args, tls), args.vehicle, tls) as link:
@@ -91,7 +92,7 @@ def run(args: argparse.Namespace) -> int:
             number = None
             if args.u is not None:
                 number = int(link.ask(StartTrack(args.u, args.v, args.frame))["track"])
-        except TrackRefused as error:
+        except RequestRefused as error:
             print(error, file=sys.stderr)
             return REFUSED
         except (KeyError, TypeError, ValueError) as error:

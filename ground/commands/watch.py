@@ -68,6 +68,7 @@ class Row:
     frame: int | None
     cpu_c: float | None
     radius: str = ""  # what the ellipse is mostly from, and what would make it smaller; empty: not known
+    look: str = ""  # who had its camera look where last
     person_found: float | None = None  # share of the ground in view on which the search for heat finds a person
 
     def to_json(self) -> str:
@@ -77,13 +78,14 @@ class Row:
 
     def cells(self) -> tuple[str, ...]:
         """Return the columns of its line in the table."""
+        looked = f"camera: {self.look}" if self.look else ""
         searched = "" if self.person_found is None else person_text(self.person_found)
         return (
             one_line(self.vehicle), one_line(self.state), "-" if self.age_s is None else span(self.age_s),
             "-" if self.rate_hz is None else f"{self.rate_hz:.1f}/s",
             "-" if self.lat_deg is None else f"{self.lat_deg:.5f} {self.lon_deg:.5f}",
             "-" if self.tracks is None else str(self.tracks), "-" if self.ce90_m is None else f"{self.ce90_m:.1f} m",
-            one_line("; ".join(text for text in (self.reason, self.radius, searched) if text)),
+            one_line("; ".join(text for text in (self.reason, self.radius, searched, looked) if text)),
         )  # fmt: skip
 
 
@@ -219,6 +221,7 @@ def _row(
         status.tracks if status is not None else len(newest) if newest is not None else None, ce90,
         None if newest is None else newest.frame, None if status is None else status.cpu_c,
         "" if status is None or not is_placed else in_a_line(status.fractions),
+        "" if status is None else status.look,
     )  # fmt: skip
 
 

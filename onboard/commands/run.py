@@ -32,7 +32,7 @@ from onboard.config.schema import Config
 from onboard.events.kept_pictures import KeptPictures
 from onboard.events.session_clock import SessionClock
 from onboard.events.sink import Sink
-from onboard.events.source import Source
+from onboard.events.source import Severity, Source, TelemetrySource
 from onboard.link.autopilot_radio import AutopilotRadio, radio_bucket
 from onboard.link.byte_budget import left_for_pictures
 from onboard.link.picture_sender import PictureSender
@@ -41,6 +41,7 @@ from onboard.pipeline.pipeline import Pipeline
 from onboard.service import journal
 from onboard.service.daemon import Daemon, SignalOrders
 from onboard.service.host import cpu_temperature_c
+from onboard.service.look_thread import LookThread
 from onboard.service.measure_thread import MeasureThread
 from onboard.service.prometheus import PrometheusServer
 from onboard.service.reports import Report
@@ -56,6 +57,7 @@ from onboard.storage.rotating_recorder import Recorded
 from onboard.storage.session_number import next_session
 from onboard.telemetry.factory import open_telemetry
 from onboard.telemetry.mavlink_passage import SIGNATURE_BYTES
+from onboard.telemetry.pointing import Pointing
 
 LEAST_FOR_PICTURES = 10_000.0  # bit/s: a picture of a kilobyte a second
 
@@ -127,6 +129,10 @@ def open_parts(config: Config, clock: SessionClock | None = None, open_camera: O
             if one is not None:
                 sinks.append(one)
                 threads.append(one.thread)
+        telemetry, looks = _telemetry(config, clock, link, radio, component)
+        if looks is not None:
+            opened.enter_context(looks)
+            threads.append(looks.thread)
         recording = None
         if config.recording.enabled:
             where = Path(config.recording.folder) if config.recording.folder else folder / "recordings"
@@ -146,7 +152,7 @@ def open_parts(config: Config, clock: SessionClock | None = None, open_camera: O
         parts = Parts(
             clock=clock,
             camera=open_camera(config, camera, clock),
-            telemetry=open_telemetry(config, clock, radio, component),
+            telemetry=telemetry,
             pipeline=pipeline,
             thermal_camera=None if second is None else second.source,
             sinks=sinks,
@@ -157,6 +163,7 @@ def open_parts(config: Config, clock: SessionClock | None = None, open_camera: O
             resources=opened.pop_all(),
             threads=threads,
             radio=None if radio is None else radio.report,
+            look=None if looks is None else lambda: looks.newest,
         )
     began = datetime.fromtimestamp(clock.now_ns() / 1e9, UTC).strftime("%Y-%m-%d %H:%M:%S")
     log.info("session of %s begins, %s UTC by the host's clock", config.vehicle.id, began)
@@ -219,6 +226,20 @@ def _camera_component(
     facts = CameraFacts(mavlink, config.vehicle.id, camera, config.camera.rate_hz, stream, clock.now_ns())
     signature_bytes = 0 if config.telemetry.signing_key is None else SIGNATURE_BYTES
     return clicks, MavlinkCamera(stated.component, facts, clicks, share, signature_bytes=signature_bytes)
+
+
+def _telemetry(
+    config: Config, clock: SessionClock, link: Publisher, radio: AutopilotRadio | None, component: MavlinkCamera | None
+) -> tuple[TelemetrySource, LookThread | None]:
+    """The autopilot, and the thread that has it look where `link.pointers` ask; its pilot gets each in words."""
+    if not config.link.pointers:
+        return open_telemetry(config, clock, radio, component), None
+    pointing = Pointing(config.telemetry.component)
+    telemetry = open_telemetry(config, clock, radio, component, pointing)
+    looks = LookThread(config.look, link.set_of, pointing)
+    looks.notified.append(lambda text: telemetry.send_text(Severity.NOTICE, f"pointclick: {text}"))
+    link.have_look = looks.ask
+    return telemetry, looks
 
 
 def _spots(

@@ -22,6 +22,7 @@ from contract.errors import ConfigError
 from contract.near_word import near_word
 from contract.thermal_scale import ThermalScale
 from onboard.config.delay_prior import delay_prior
+from onboard.config.link import Link, Look
 from onboard.config.mavlink_camera import MavlinkCamera
 from onboard.config.second_camera import SecondCamera
 from onboard.config.section import Section, choice, quantity
@@ -286,38 +287,6 @@ class Telemetry(Section):
     max_attitude_gap_s: float = quantity(1.0, 0.02, 10.0, "s", "longest gap between attitudes that is interpolated")
 
 
-class Link(Section):
-    """zenoh, the link to the ground."""
-
-    listen: tuple[str, ...] = choice(("tcp/127.0.0.1:7447",), "zenoh endpoints to listen on; loopback unless opened")
-    connect: tuple[str, ...] = choice((), "zenoh endpoints to connect to")
-    scouting: bool = choice(False, "announce and look for peers on the local network by multicast")
-    max_bit_rate: float = quantity(
-        32000.0, 4000.0, 1e9, "bit/s", "all that is sent keeps below this, link overhead included"
-    )
-    min_rate_hz: float = quantity(0.2, 0.01, 30.0, "Hz", "feature sets sent at least, while there are any")
-    max_rate_hz: float = quantity(
-        5.0, 0.01, 30.0, "Hz", "new pictures' feature sets sent at most; older ones' half as often"
-    )
-    ca: str | None = choice(None, "TLS: certificate of the authority that both ends trust")
-    certificate: str | None = choice(None, "TLS: this aircraft's certificate")
-    key: str | None = choice(None, "TLS: this aircraft's private key")
-    allowed: tuple[str, ...] = choice(
-        (), "TLS: common names of the certificates that may listen and ask; empty: every one of the authority's"
-    )
-    trackers: tuple[str, ...] = choice(
-        (), "TLS: common names of the certificates that may begin and end tracks; empty: all that may ask"
-    )
-    mavlink: bool = choice(
-        False, "answer clicks and send sets through the autopilot's own radio too (pc-ground --connect mavlink:...)"
-    )
-    mavlink_bit_rate: float = quantity(
-        4800.0, 200.0, 1e6, "bit/s", "all that is sent through the autopilot keeps below this, MAVLink's bytes included"
-    )
-    history_s: float = quantity(600.0, 1.0, 86400.0, "s", "feature sets this young are kept to answer queries")
-    history_sets: int = quantity(5000, 1, 100000, "", "at most this many of them")
-
-
 class PictureConfig(Section):
     """Small pictures of keyframes over the link, for the ground to click on.
 
@@ -395,6 +364,7 @@ class Config(Section):
     range_finder: RangeFinderConfig = RangeFinderConfig()
     telemetry: Telemetry = Telemetry()
     link: Link = Link()
+    look: Look = Look()
     mavlink_camera: MavlinkCamera = MavlinkCamera()
     picture: PictureConfig = PictureConfig()
     tracks: TracksConfig = TracksConfig()

@@ -3,6 +3,7 @@
 Public:
 
 - `kept_pictures`: `KEPT_BYTES`, `LEAST`, `RECENT_NS`, `Grey`, `Kept`, `KeptPictures`, `Pictured`
+- `pointing`: `ACCEPTED`, `NOT_ACKNOWLEDGED`, `NO_AUTOPILOT`, `PointingEnd`, `Target`
 - `session_clock`: `SessionClock`
 - `sink`: `Sink`
 - `source`: `Emit`, `Severity`, `Source`, `SourceStatus`, `State`, `Stop`, `TelemetrySource`

@@ -22,7 +22,8 @@ import zenoh
 from contract.errors import LinkError
 from contract.feature_set import FeatureSet, Status
 from contract.history import History
-from contract.link_config import Tls, link_config
+from contract.link_config import NO_RIGHTS, Rights, Tls, link_config
+from contract.look import ANSWERED_WITHIN_S, look_key
 from contract.picture import LinkPicture
 from contract.supervised_thread import Policy, SupervisedThread
 from contract.topics import (
@@ -33,6 +34,7 @@ from contract.topics import (
     FEATURES,
     FOLLOW,
     FRAME_PARAMETER,
+    LOOK,
     PICTURE,
     PIXEL_PARAMETERS,
     QUERY,
@@ -142,8 +144,7 @@ class Publisher:
         *,
         rate: Rate | None = None,
         tls: Tls | None = None,
-        allowed: Sequence[str] = (),
-        trackers: Sequence[str] = (),
+        rights: Rights = NO_RIGHTS,
     ) -> None:
         self._key, self._status_key = FEATURES.key(vehicle), STATUS.key(vehicle)
         self._follow_key = FOLLOW.key(vehicle)
@@ -165,6 +166,10 @@ class Publisher:
         self._reports: dict[Topic, bytes] = {}  # the newest of each topic, until it has gone
         # Answers queries that begin, end and list tracks: a payload, and whether it is a refusal.
         self.follow: Callable[[str], tuple[bytes, bool]] = not_followed
+        # Answers queries of those who may have the camera look somewhere: who asks, and the parameters; it calls the
+        # function with the answer, and whether it is a refusal, from any thread.
+        self.have_look: Callable[[str, str, Callable[[bytes, bool], object]], object] = _not_looked
+        self._pointers = frozenset(() if tls is None else rights.pointers)  # without certificates no one has a name
         # Measures a pixel of a packet's set and hands the set over with it, or None; False if that cannot be done now.
         self.measure: Measure = not_measured
         self._is_closed = self._has_news = False
@@ -173,7 +178,8 @@ class Publisher:
         self.pictures = 0  # put on the link to their last piece
         self._warned_s = -math.inf
         self._changed = threading.Condition()
-        names = {*allowed, vehicle} if allowed else ()  # the aircraft's own programs may ask it too
+        if rights.allowed:  # the aircraft's own programs may ask it too
+            rights = replace(rights, allowed=sorted({*rights.allowed, vehicle}))
         config = link_config(
             "peer",
             listen=listen,
@@ -181,8 +187,7 @@ class Publisher:
             scouting=scouting,
             tls=tls,
             is_aircraft=True,
-            allowed=sorted(names),
-            trackers=trackers,
+            rights=rights,
         )
         try:
             self._session = zenoh.open(zenoh.Config.from_json5(config))
@@ -194,6 +199,8 @@ class Publisher:
             self._queryable = self._session.declare_queryable(self._key, self._asked)
             self._status_queryable = self._session.declare_queryable(self._status_key, self._asked_for_status)
             self._follow_queryable = self._session.declare_queryable(self._follow_key, self._asked_to_follow)
+            if self._pointers:
+                self._look_queryable = self._session.declare_queryable(f"{LOOK.key(vehicle)}/*", self._asked_to_look)
             self._alive = self._session.liveliness().declare_token(ALIVE.key(vehicle))
         except zenoh.ZError as error:
             self._session.close()  # type: ignore[no-untyped-call]
@@ -214,8 +221,7 @@ class Publisher:
             link.history_sets,
             rate=Rate(link.max_bit_rate, link.min_rate_hz, link.max_rate_hz),
             tls=Tls.of(link.ca, link.certificate, link.key),
-            allowed=link.allowed,
-            trackers=link.trackers,
+            rights=Rights(link.allowed, link.trackers, link.pointers),
         )
 
     def publish(self, feature_set: FeatureSet, payload: bytes | None = None) -> bytes:
@@ -260,6 +266,13 @@ class Publisher:
         """Return the answer to a query that came by another way; None: the picture's set is still being made."""
         with self._changed:
             return None if asked.pending(self._history, self._pending) is not None else self._answer(asked)
+
+    def set_of(self, frame: int) -> tuple[bytes, float | None] | None:
+        """A picture's packet and its age, s, None while that is not known; None without a set of that picture."""
+        with self._changed:
+            entry = self._history.entry(frame)
+            now_ns = time.monotonic_ns()
+            return None if entry is None else (entry.item, self._set_clock.age_s(entry.capture_unix_ns, now_ns))
 
     def age_s(self, capture_unix_ns: int) -> float | None:
         """Return how long ago a picture was taken; None while nothing is known of the clock."""
@@ -468,6 +481,24 @@ class Publisher:
         found = Answer(payload, is_error=is_error)
         self._wait_to_answer(query, self._follow_key, found, Kind.REPLY, time.monotonic() + ANSWER_TIMEOUT_S)
 
+    def _asked_to_look(self, query: zenoh.Query) -> None:
+        """Access control lets each of the pointers ask by the key that has his name, and no one else by any."""
+        until_s = time.monotonic() + ANSWERED_WITHIN_S
+        key = str(query.key_expr)
+        who = next((name for name in self._pointers if key == look_key(self._vehicle, name)), None)
+
+        def done(payload: bytes, is_error: bool) -> None:
+            self._wait_to_answer(query, key, Answer(payload, is_error=is_error), Kind.REPLY, until_s)
+
+        try:
+            asked = str(query.parameters)
+        except ValueError:  # what is no text
+            asked = "?"
+        if who is None:
+            done(refused("not_allowed", "no one of that name may have the camera look anywhere"), True)
+        else:
+            self.have_look(who, asked, done)
+
     def _wait_to_answer(self, query: zenoh.Query, key: str, found: Answer, kind: Kind, until_s: float) -> None:
         with self._changed:
             if len(self._queries) < MAX_WAITING_QUERIES and not self._is_closed:
@@ -482,6 +513,10 @@ def not_followed(_: str) -> tuple[bytes, bool]:
         "disabled",
         "this aircraft does not follow things: for its next flight set tracks.enabled = true in its configuration",
     ), True
+
+
+def _not_looked(_who: str, _parameters: str, done: Callable[[bytes, bool], object]) -> None:
+    done(refused("disabled", "this aircraft's camera cannot be sent anywhere"), True)
 
 
 def _reply(waiting: _Waiting) -> None:

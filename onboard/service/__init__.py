@@ -5,6 +5,7 @@ Public:
 - `daemon`: `Daemon`, `SignalOrders`
 - `host`: `cpu_temperature_c`, `free_mb`
 - `journal`
+- `look_thread`: `LookThread`
 - `measure_thread`: `MeasureThread`, `QuestionThread`
 - `prometheus`: `PrometheusServer`
 - `readable`: `Reader`

@@ -82,6 +82,7 @@ class Parts:
     threads: Sequence[SupervisedThread] = ()  # those that the parts brought with them: link, recording, solver, ...
     thermal_camera: Source | None = None  # a second one, which one of the sinks runs
     radio: Callable[[], RadioReport] | None = None  # how it goes through the autopilot's
+    look: Callable[[], str] | None = None  # who had the camera look where; None where no one may
 
 
 class Session:
@@ -228,6 +229,8 @@ class Session:
             cpu_c=self.parts.temperature_c(),
             shares={} if budget is None else budget.percent,
             follows=self._follows,
+            looks=self.parts.look is not None,
+            look="" if self.parts.look is None else self.parts.look(),
         )
         return Report(
             status,

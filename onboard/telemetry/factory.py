@@ -6,12 +6,14 @@ from pathlib import Path
 
 from contract.errors import ConfigError
 from contract.mavlink_camera.component import MavlinkCamera
+from onboard.config.link import check_pointers
 from onboard.config.schema import Config
 from onboard.events.session_clock import SessionClock
 from onboard.events.source import TelemetrySource
 from onboard.events.tunnel import TunnelEnd
 from onboard.telemetry.mavlink_source import LiveTelemetry, PymavlinkEnd
 from onboard.telemetry.nmea_source import NmeaTelemetry
+from onboard.telemetry.pointing import Pointing
 from onboard.telemetry.signing import read_key
 from onboard.telemetry.siyi_source import SiyiGimbal, WithGimbal, siyi_address
 from onboard.telemetry.tlog_playback import PlayedTelemetry
@@ -19,15 +21,21 @@ from onboard.telemetry.transports import Address
 
 
 def open_telemetry(
-    config: Config, clock: SessionClock, tunnel: TunnelEnd | None = None, camera: MavlinkCamera | None = None
+    config: Config,
+    clock: SessionClock,
+    tunnel: TunnelEnd | None = None,
+    camera: MavlinkCamera | None = None,
+    pointing: Pointing | None = None,
 ) -> TelemetrySource:
     """The source of `telemetry.url`, with that of `mount.gimbal_url` if there is one; nothing is opened before it runs.
 
-    What passes through the autopilot is `tunnel`'s; `camera` is a component next to us on its network.
+    What passes through the autopilot is `tunnel`'s; `camera` is a component next to us on its network; `pointing`
+    alone commands it.
 
     Raises ConfigError, one line, for what can never work: an unknown kind of url, a missing log, a bad key.
     """
-    source = _open_autopilot(config, clock, tunnel, camera)
+    check_pointers(config.link)
+    source = _open_autopilot(config, clock, tunnel, camera, pointing)
     if config.mount.gimbal_url is None or config.mount.gimbal == "never":
         return source
     gimbal = SiyiGimbal(clock, siyi_address(config.mount.gimbal_url), config.telemetry.lost_after_s)
@@ -35,7 +43,11 @@ def open_telemetry(
 
 
 def _open_autopilot(
-    config: Config, clock: SessionClock, tunnel: TunnelEnd | None, camera: MavlinkCamera | None
+    config: Config,
+    clock: SessionClock,
+    tunnel: TunnelEnd | None,
+    camera: MavlinkCamera | None,
+    pointing: Pointing | None,
 ) -> TelemetrySource:
     telemetry = config.telemetry
     scheme, _, rest = telemetry.url.partition(":")
@@ -45,6 +57,8 @@ def _open_autopilot(
             f"{wanted[0]} needs a live autopilot and telemetry.backend 'pymavlink': what goes to the ground passes "
             "through the autopilot"
         )
+    if config.link.pointers and scheme in ("tlog", "nmea"):
+        raise ConfigError("link.pointers: only a live autopilot can have its camera look somewhere, set telemetry.url")
     if camera is not None and camera.component == telemetry.component:
         raise ConfigError(f"mavlink_camera.component and telemetry.component are both {camera.component}: two numbers")
     if scheme == "tlog":
@@ -60,5 +74,5 @@ def _open_autopilot(
             raise ConfigError("telemetry.signing_key: mavsdk does not sign; set telemetry.backend to 'pymavlink'")
         from onboard.telemetry.mavsdk_source import MavsdkEnd  # noqa: PLC0415  a large native library
 
-        return LiveTelemetry(config, clock, address, lambda: MavsdkEnd(config, clock))
-    return LiveTelemetry(config, clock, address, lambda: PymavlinkEnd(config, key), tunnel, camera)
+        return LiveTelemetry(config, clock, address, lambda: MavsdkEnd(config, clock), pointing=pointing)
+    return LiveTelemetry(config, clock, address, lambda: PymavlinkEnd(config, key), tunnel, camera, pointing)

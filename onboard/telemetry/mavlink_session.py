@@ -154,6 +154,10 @@ class Autopilot:
         unchanged = (position, attitude) == (sources.position, sources.attitude)
         return sources if unchanged else Sources(position, attitude)
 
+    def is_received(self, now_ns: int) -> bool:
+        """Return whether the vehicle's autopilot has been received recently."""
+        return self._received_ns is not None and now_ns - self._received_ns <= self.config.lost_after_s * 1e9
+
     # --- out ---
 
     def due(self, now_ns: int, speaks_first: bool = False) -> list[Any]:

@@ -18,6 +18,7 @@ from onboard.telemetry.mavlink_events import AUTOPILOT_COMPONENT
 from onboard.telemetry.mavlink_framing import Framer, SequenceGaps
 from onboard.telemetry.mavlink_passage import Passage
 from onboard.telemetry.mavlink_session import Autopilot
+from onboard.telemetry.pointing import Pointing
 from onboard.telemetry.signing import keep_time, sign
 from onboard.telemetry.tlog_writer import TlogWriter
 from onboard.telemetry.transports import Address, Wire
@@ -125,6 +126,7 @@ class LiveTelemetry:
         make_end: Callable[[], End],
         tunnel: TunnelEnd | None = None,
         camera: MavlinkCamera | None = None,
+        pointing: Pointing | None = None,
     ) -> None:
         self._config = config
         self._clock = clock
@@ -132,7 +134,7 @@ class LiveTelemetry:
         self._make_end = make_end
         self._autopilot = Autopilot(config)
         self._passage = None if tunnel is None else Passage(config, tunnel)
-        self._camera = camera
+        self._camera, self._pointing = camera, pointing
         self._log = (
             TlogWriter(config.telemetry.log, config.recording.keep_free_mb)
             if config.telemetry.log is not None
@@ -191,6 +193,8 @@ class LiveTelemetry:
                     emit(arrival_ns, event)
                 if self._passage is not None and autopilot.is_known:
                     self._passage.receive(message, autopilot.system)
+                if self._pointing is not None:
+                    self._pointing.receive(message, autopilot.system)
                 if self._camera is not None:
                     self._camera.receive(message, autopilot.system, arrival_ns)
             end.system = autopilot.system
@@ -208,6 +212,9 @@ class LiveTelemetry:
                 self._passage.note_sent(message)
         if self._passage is not None and self._autopilot.system is not None:
             for message in self._passage.due(now_ns, self._autopilot.system):
+                end.send(message)
+        if self._pointing is not None and self._autopilot.system is not None and self._autopilot.is_received(now_ns):
+            for message in self._pointing.due(now_ns, self._autopilot.system):
                 end.send(message)
         if self._camera is not None and self._autopilot.system is not None:
             for message in self._camera.due(now_ns):

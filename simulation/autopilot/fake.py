@@ -93,6 +93,10 @@ class FakeAutopilot:
         self.sent: deque[tuple[int, Any]] = deque(maxlen=KEEP)  # (index of the boot, message as sent)
         self.received: deque[Any] = deque(maxlen=KEEP)  # what the other end has sent
         self.counts: Counter[str] = Counter()
+        self.roi: tuple[float, float, float] | None = None  # what it looks at: degrees, and metres above sea level
+        self.roi_results: deque[int | None] = (
+            deque()
+        )  # of the next commands to look, instead of its own; None: no answer
         self._messages = [as_px4(m) for m in flight.messages] if style == "px4" else flight.messages
         self._everything = everything
         self._begin_ns = flight.due_ns[0] + round(begin_s * 1e9)
@@ -369,6 +373,8 @@ class FakeAutopilot:
                 self._send(mavlink.MAVLink_timesync_message(self._boot_ns(self._clock.now_ns()), message.ts1))
             elif name == "COMMAND_LONG" and message.target_system == self.system:
                 self._answer(message)
+            elif name == "COMMAND_INT" and message.target_system == self.system:
+                self._look(message)
             elif name == "HEARTBEAT" and message.type == mavlink.MAV_TYPE_ONBOARD_CONTROLLER:
                 if message.get_srcSystem() == self.system:
                     self._mission_computer_ns = self._clock.now_ns()
@@ -379,6 +385,21 @@ class FakeAutopilot:
                     self._send(mavlink.MAVLink_param_value_message(asked, value, kind, 1000, 500))
             elif name == "REQUEST_DATA_STREAM" and message.target_system == self.system:
                 self._rates.set_stream(message.req_stream_id, message.req_message_rate * message.start_stop)
+
+    def _look(self, command: Any) -> None:
+        """Look at a place in global coordinates, as both autopilots do; a height of another frame is not taken."""
+        result: int | None = int(mavlink.MAV_RESULT_UNSUPPORTED)
+        places = {mavlink.MAV_CMD_DO_SET_ROI_LOCATION, mavlink.MAV_CMD_DO_SET_ROI_NONE}
+        is_global = command.frame in (mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT)
+        if command.command in places and is_global and not self.style.mavlink1:
+            result = int(mavlink.MAV_RESULT_ACCEPTED)
+        if self.roi_results:
+            result = self.roi_results.popleft()
+        if result == mavlink.MAV_RESULT_ACCEPTED:
+            is_end = command.command == mavlink.MAV_CMD_DO_SET_ROI_NONE
+            self.roi = None if is_end else (command.x / 1e7, command.y / 1e7, command.z)
+        if result is not None:
+            self._acknowledge(command, result)
 
     def _answer(self, command: Any) -> None:
         if command.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
@@ -395,6 +416,9 @@ class FakeAutopilot:
             )
         else:
             result = int(mavlink.MAV_RESULT_UNSUPPORTED)
+        self._acknowledge(command, result)
+
+    def _acknowledge(self, command: Any, result: int) -> None:
         self._send(
             mavlink.MAVLink_command_ack_message(
                 command.command, result, 0, 0, command.get_srcSystem(), command.get_srcComponent()

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from contract.error_sources import Cause
 from contract.errors import CorruptPayload, NewerPayload, WireError
-from contract.vehicle_status import MAX_BYTES, MAX_REASON, VehicleStatus, decode_status, encode_status
+from contract.vehicle_status import MAX_BYTES, MAX_LOOK, MAX_REASON, VehicleStatus, decode_status, encode_status
 
 FLYING = VehicleStatus(
     1_700_000_000.125, 1_700_000_000, "ok", "", 912.0, 29.9, 28.5, 27_312, 0.085, 97, 12, 3, True, 61.0
@@ -32,6 +32,8 @@ STATUSES = st.builds(
     recording=st.booleans(),
     cpu_c=st.none() | st.floats(-60, 150),
     follows=st.booleans(),
+    looks=st.booleans(),
+    look=st.text(max_size=100),
     shares=st.dictionaries(st.sampled_from(list(Cause)).map(str), st.integers(0, 100), max_size=3),
 )
 
@@ -54,7 +56,12 @@ def test_a_usual_status_is_well_under_its_bound() -> None:
 
 def test_a_long_reason_is_worth_more_than_shares() -> None:
     full = replace(
-        FLYING, reason="x" * MAX_REASON, shares={"attitude": 55, "gpsnoise": 21, "mount": 15}, dropped=10**9, lost=10**9
+        FLYING,
+        reason="x" * MAX_REASON,
+        shares={"attitude": 55, "gpsnoise": 21, "mount": 15},
+        dropped=10**9,
+        lost=10**9,
+        look="x" * MAX_LOOK,
     )
     back = decode_status(encode_status(full))
     assert back.reason == full.reason and len(back.shares) < 3

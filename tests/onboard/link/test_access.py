@@ -16,7 +16,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from contract.errors import InputError, LinkError
 from contract.feature_set import FeatureSet
-from contract.link_config import Tls, link_config
+from contract.link_config import Rights, Tls, link_config
 from contract.topics import FEATURES, STATUS
 from contract.wire.codec import encode
 from ground.__main__ import main as ground_main
@@ -183,7 +183,7 @@ def test_without_certificates_too_no_one_publishes_through_the_aircraft() -> Non
 def test_only_the_named_may_listen_and_ask_where_some_are_named(credentials: Path) -> None:
     endpoint = free_endpoint().replace("tcp/", "tls/")
     tls = {name: Tls.in_folder(credentials / name) for name in ("uav-1", "anna", "ben")}
-    with Publisher("uav-1", [endpoint], rate=WIDE, tls=tls["uav-1"], allowed=["anna"]) as publisher:
+    with Publisher("uav-1", [endpoint], rate=WIDE, tls=tls["uav-1"], rights=Rights(allowed=["anna"])) as publisher:
         publisher.publish(a_set(3))
         assert "uav-1" in asked(endpoint, tls=tls["anna"])
         assert "uav-1" in asked(endpoint, tls=tls["uav-1"])  # its own programs

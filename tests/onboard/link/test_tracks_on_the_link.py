@@ -11,12 +11,13 @@ import zenoh
 
 from contract.errors import LinkError
 from contract.fleet import Fleet
-from contract.link_config import Tls, link_config
-from contract.topics import FOLLOW, SPOTS, TRACKS, Topic
+from contract.link_config import Rights, Tls, link_config
+from contract.topics import FOLLOW, SPOTS, TOPICS, TRACKS, Topic
 from contract.track import ListTracks, StartTrack, StopTrack
 from contract.wire.track_code import encode_track
+from ground.put_request import RequestRefused
 from ground.router import _rights
-from ground.track_link import TrackLink, TrackRefused
+from ground.track_link import TrackLink
 from onboard.link.byte_budget import USES, Budget, Kind
 from onboard.link.certificates import make_credentials
 from onboard.link.publisher import Publisher, Rate
@@ -78,12 +79,12 @@ def test_a_refusal_has_the_aircrafts_reason() -> None:
     endpoint = free_endpoint()
     with Publisher("uav-1", [endpoint], rate=WIDE) as flying, TrackLink(endpoint, "uav-1") as link:
         with pytest.raises(
-            TrackRefused,
+            RequestRefused,
             match=r"disabled: this aircraft does not follow things: for its next flight set tracks\.enabled = true",
         ):
             link.ask(ListTracks())
         flying.follow = lambda _: (json.dumps({"status": "full", "reason": "stop one"}).encode(), True)
-        with pytest.raises(TrackRefused, match="full: stop one"):
+        with pytest.raises(RequestRefused, match="full: stop one"):
             link.ask(StartTrack(1.0, 2.0))
 
 
@@ -91,7 +92,7 @@ def test_only_the_named_may_follow(tmp_path: Path) -> None:
     make_credentials(tmp_path, ["uav-1"], ["anna", "ben"], [], 30.0)
     endpoint = free_endpoint().replace("tcp/", "tls/")
     tls = {name: Tls.in_folder(tmp_path / name) for name in ("uav-1", "anna", "ben")}
-    with Publisher("uav-1", [endpoint], rate=WIDE, tls=tls["uav-1"], trackers=["anna"]) as flying:
+    with Publisher("uav-1", [endpoint], rate=WIDE, tls=tls["uav-1"], rights=Rights(trackers=["anna"])) as flying:
         flying.follow = lambda text: (json.dumps({"tracks": [len(text)]}).encode(), False)
         with TrackLink(endpoint, "uav-1", tls["anna"]) as anna, TrackLink(endpoint, "uav-1", tls["ben"]) as ben:
             assert answered(lambda: anna.ask(StopTrack(3))) == {"tracks": [6]}
@@ -106,8 +107,9 @@ def test_only_the_named_may_follow(tmp_path: Path) -> None:
 
 
 def test_without_trackers_the_rights_are_as_they_were() -> None:
-    rules = json.loads(link_config("peer", is_aircraft=True, trackers=["anna"]))["access_control"]
-    assert [rule["key_exprs"] for rule in rules["rules"]] == [["pc/**"]] * 3  # without certificates no one has a name
+    rules = json.loads(link_config("peer", is_aircraft=True, rights=Rights(trackers=["anna"])))["access_control"]
+    asked = [topic.key("*") for topic in (*TOPICS, FOLLOW)]  # without certificates no one has a name
+    assert [rule["key_exprs"] for rule in rules["rules"]] == [["pc/**"], asked, ["pc/**"]]
     assert len(rules["subjects"]) == 1
 
 

@@ -15,6 +15,7 @@ from onboard.events.source import State, TelemetrySource
 from onboard.events.types import Event, GpsQuality, NavEvent
 from onboard.telemetry.factory import open_telemetry
 from onboard.telemetry.mavlink_events import MessageToEvent, Sources
+from onboard.telemetry.pointing import Pointing
 from simulation.autopilot.fake import FakeAutopilot
 from simulation.autopilot.flight import Flight
 from tests.waiting import PATIENCE_S, eventually
@@ -63,10 +64,10 @@ class Listening:
 
 
 @contextmanager
-def listening(config: Config) -> Iterator[Listening]:
+def listening(config: Config, pointing: Pointing | None = None) -> Iterator[Listening]:
     """Runs the source of a configuration; it must end when asked to, and without an error."""
     clock = SessionClock.start()
-    received = Listening(open_telemetry(config, clock), clock)
+    received = Listening(open_telemetry(config, clock, pointing=pointing), clock)
     thread = threading.Thread(target=received.run, daemon=True)
     thread.start()
     try:

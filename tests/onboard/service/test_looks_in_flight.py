@@ -1,0 +1,165 @@
+"""The whole way of "look there": a certificate's holder asks over the link, an aircraft answers, an autopilot looks."""
+
+from __future__ import annotations
+
+import dataclasses
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from contract.answer import Fix
+from contract.feature_set import FeatureSet
+from contract.link_config import Tls
+from contract.locate import Locator
+from contract.look import AskLook
+from contract.vehicle_status import VehicleStatus
+from contract.wire.codec import decode
+from ground.look_link import LookLink
+from ground.put_request import RequestRefused
+from onboard.commands.run import open_parts
+from onboard.config.schema import Config
+from onboard.events.session_clock import SessionClock
+from onboard.events.source import State
+from onboard.link.certificates import make_credentials
+from onboard.link.publisher import Publisher
+from onboard.service.session import Parts, Session
+from simulation.autopilot.fake import FakeAutopilot
+from tests.contract.sets import plain_set
+from tests.onboard.link.asking import answered
+from tests.onboard.link.ports import free_endpoint, free_udp_port
+from tests.onboard.service.air import PlayedSource, Work
+from tests.onboard.telemetry.listening import FLIGHT
+from tests.waiting import PATIENCE_S, eventually
+
+PIXEL = (320.0, 240.0)
+
+
+def configuration(folder: Path, **sections: dict[str, object]) -> Config:
+    """An aircraft with certificates, whose link anna and ben may use."""
+    (folder / "camera.json").write_text(plain_set().camera.to_json())
+    keys = folder / "keys"
+    if not keys.exists():
+        make_credentials(keys, ["uav-1"], ["anna", "ben"], [], 30.0)
+    link = {
+        "listen": (free_endpoint().replace("tcp/", "tls/"),), "max_bit_rate": 1e6,
+        "ca": str(keys / "uav-1" / "ca.pem"), "certificate": str(keys / "uav-1" / "certificate.pem"),
+        "key": str(keys / "uav-1" / "key.pem"),
+    }  # fmt: skip
+    given: dict[str, dict[str, object]] = {
+        "vehicle": {"id": "uav-1"}, "camera": {"file": str(folder / "camera.json")},
+        "telemetry": {"url": f"udpin:127.0.0.1:{free_udp_port()}", "system": FLIGHT.system},
+        "service": {"state_dir": str(folder)}, "recording": {"enabled": False}, "tracks": {"enabled": False},
+    }  # fmt: skip
+    return Config.model_validate(
+        given | {"link": link | sections.pop("link", {})} | {k: given.get(k, {}) | v for k, v in sections.items()}
+    )
+
+
+def opened(config: Config) -> Parts:
+    return open_parts(config, open_camera=lambda *_: PlayedSource(SessionClock.start(), [], Work()))
+
+
+@pytest.mark.parametrize("pointers", [(), ("anna",)])
+def test_the_daemon_lets_no_one_point_its_camera_unless_configured(tmp_path: Path, pointers: tuple[str, ...]) -> None:
+    config = configuration(tmp_path, link={"pointers": pointers})
+    parts = opened(config)
+    with parts.resources:
+        assert ("looks" in [thread.name for thread in parts.threads]) == bool(pointers)
+        status = Session(config, parts).report().status
+        assert status.looks == bool(pointers) and status.look == ""
+
+
+@dataclass
+class Flying:
+    """An aircraft whose parts run, next to a fake autopilot, with one picture's set on board."""
+
+    config: Config
+    parts: Parts
+    autopilot: FakeAutopilot
+    publisher: Publisher
+    published: FeatureSet
+
+    @property
+    def status(self) -> VehicleStatus:
+        return Session(self.config, self.parts).report().status
+
+    def link(self, name: str) -> LookLink:
+        tls = Tls.in_folder(Path(str(self.config.link.ca)).parents[1] / name)
+        return answered(lambda: LookLink(self.config.link.listen[0], None, tls))
+
+    def click(self, **change: float) -> AskLook:
+        s, fix = self.published, Locator(self.published).locate(PIXEL)
+        assert isinstance(fix, Fix)
+        asked = AskLook(s.session, s.frame, *PIXEL, fix.lat_deg, fix.lon_deg, fix.ellipse.semi_major_m)
+        return dataclasses.replace(asked, **change)  # type: ignore[arg-type]
+
+
+@pytest.fixture(params=["pymavlink", "mavsdk"])
+def flying(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Flying]:
+    with FakeAutopilot(FLIGHT, f"udpout:127.0.0.1:{free_udp_port()}", loop=True) as autopilot:
+        config = configuration(
+            tmp_path,
+            link={"pointers": ("anna", "ben")},
+            look={"max_radius_m": 40.0},
+            telemetry={"url": autopilot.url, "backend": request.param},
+        )
+        parts, stop = opened(config), threading.Event()
+        with parts.resources:
+            publisher = next(sink for sink in parts.sinks if isinstance(sink, Publisher))
+            published = decode(publisher.publish(dataclasses.replace(plain_set(), capture_unix_ns=time.time_ns())))
+            listening = threading.Thread(target=parts.telemetry.run, args=(lambda *_: None, stop), daemon=True)
+            listening.start()
+            try:
+                assert eventually(lambda: parts.telemetry.health().state is State.OK)
+                yield Flying(config, parts, autopilot, publisher, published)
+            finally:
+                stop.set()
+                listening.join(PATIENCE_S)
+
+
+def test_the_camera_looks_where_it_was_clicked_and_everybody_sees_who_had_it_look(flying: Flying) -> None:
+    autopilot = flying.autopilot
+    with flying.link("anna") as anna:
+        offer = answered(lambda: anna.ask(flying.click()))
+        assert autopilot.received_of("COMMAND_INT") == [] and flying.status.look == ""
+        done = anna.confirm(offer, 0.0)
+    assert done["result"] == "accepted"
+    fix = Locator(flying.published).locate(PIXEL)
+    assert isinstance(fix, Fix) and autopilot.roi is not None
+    assert autopilot.roi[:2] == pytest.approx((fix.lat_deg, fix.lon_deg), abs=1e-6)
+    assert autopilot.roi[2] == pytest.approx(fix.height_amsl_m, abs=0.1)  # above the sea, not the ellipsoid
+    words = f"at {fix.lat_deg:.5f} {fix.lon_deg:.5f}, {fix.height_amsl_m:.0f} m"
+    assert flying.status.look == f"anna: {words}: accepted"
+    pilot = f"pointclick: anna has the camera look {words}"
+    assert eventually(lambda: pilot in "".join(text.text for text in autopilot.received_of("STATUSTEXT")))
+    with flying.link("ben") as ben:
+
+        def ends() -> bool:
+            try:
+                return bool(ben.end()["result"] == "accepted")
+            except RequestRefused as error:
+                assert error.word == "busy"  # anna's command was less than two seconds ago
+                return False
+
+        assert eventually(ends)
+    assert autopilot.roi is None and flying.status.look == "ben: ahead: accepted"
+
+
+def test_what_the_autopilot_refuses_is_stated_and_nothing_that_does_not_hold_gets_to_it(flying: Flying) -> None:
+    autopilot = flying.autopilot
+    autopilot.roi_results.append(int(mavlink.MAV_RESULT_DENIED))
+    with flying.link("anna") as anna:
+        for change, word in (({"lat_deg": 0.0}, "contradiction"), ({"frame": 5}, "unknown_frame")):
+            with pytest.raises(RequestRefused) as refused:
+                anna.ask(flying.click(**change))
+            assert refused.value.word == word
+        assert autopilot.received_of("COMMAND_INT") == []
+        offer = answered(lambda: anna.ask(flying.click()))
+        with pytest.raises(RequestRefused, match="denied: the autopilot refuses"):
+            anna.confirm(offer, 0.0)
+    assert autopilot.roi is None and flying.status.look.endswith(": denied")

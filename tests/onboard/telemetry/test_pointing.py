@@ -1,0 +1,190 @@
+"""Commands to look at a place, through both libraries, to a fake autopilot: done, refused, lost, or never sent."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from contract.errors import ConfigError
+from onboard.config.schema import parse_config
+from onboard.events.pointing import ACCEPTED, NO_AUTOPILOT, NOT_ACKNOWLEDGED, Target
+from onboard.events.session_clock import SessionClock
+from onboard.events.source import State
+from onboard.telemetry.factory import open_telemetry
+from onboard.telemetry.pointing import MOST_SENT, Pointing
+from simulation.autopilot.fake import FakeAutopilot, Faults
+from tests.onboard.link.ports import free_udp_port
+from tests.onboard.telemetry.listening import FLIGHT, TLOG, Listening, config_for, listening
+from tests.waiting import PATIENCE_S, eventually
+
+HILL = Target(-35.3632621, 149.1652374, 584.25)
+BOTH = pytest.mark.parametrize("backend", ["pymavlink", "mavsdk"])
+
+
+@contextmanager
+def flying(
+    backend: str = "pymavlink", limit_s: float = PATIENCE_S, **about: Any
+) -> Iterator[tuple[FakeAutopilot, Pointing, Listening]]:
+    """A fake autopilot that is being received, and what commands it."""
+    pointing = Pointing(191, limit_s)
+    url = f"udpout:127.0.0.1:{free_udp_port()}"
+    with (
+        FakeAutopilot(FLIGHT, url, loop=True, **about) as autopilot,
+        listening(config_for(autopilot.url, backend=backend), pointing) as received,
+    ):
+        received.wait(State.OK)
+        yield autopilot, pointing, received
+
+
+def commands(autopilot: FakeAutopilot) -> list[Any]:
+    return autopilot.received_of("COMMAND_INT")
+
+
+@BOTH
+@pytest.mark.parametrize("style", ["ardupilot", "px4"])
+def test_it_looks_at_the_place_and_ahead_again(backend: str, style: str) -> None:
+    with flying(backend, style=style) as (autopilot, pointing, _):
+        assert commands(autopilot) == []
+        assert pointing.point(HILL) == ACCEPTED
+        lat, lon, height_m = autopilot.roi or (0.0, 0.0, 0.0)
+        assert abs(lat - HILL.lat_deg) < 1e-7 and abs(lon - HILL.lon_deg) < 1e-7 and height_m == HILL.height_amsl_m
+        (sent, *_) = commands(autopilot)
+        assert (sent.command, sent.frame) == (mavlink.MAV_CMD_DO_SET_ROI_LOCATION, mavlink.MAV_FRAME_GLOBAL_INT)
+        assert (sent.target_system, sent.target_component) == (autopilot.system, 1)
+        assert (sent.get_srcSystem(), sent.get_srcComponent()) == (autopilot.system, 191)
+        assert pointing.point(None) == ACCEPTED
+        assert autopilot.roi is None
+        assert commands(autopilot)[-1].command == mavlink.MAV_CMD_DO_SET_ROI_NONE
+
+
+@pytest.mark.parametrize(
+    ("result", "word"),
+    [
+        (mavlink.MAV_RESULT_DENIED, "denied"),
+        (mavlink.MAV_RESULT_UNSUPPORTED, "unsupported"),
+        (mavlink.MAV_RESULT_TEMPORARILY_REJECTED, "temporarily_rejected"),
+        (mavlink.MAV_RESULT_FAILED, "failed"),
+        (9, "command_unsupported_mav_frame"),
+        (99, "result 99"),
+    ],
+)
+def test_a_refusal_has_the_autopilots_word(result: int, word: str) -> None:
+    with flying() as (autopilot, pointing, _):
+        autopilot.roi_results.append(result)
+        assert pointing.point(HILL) == word
+        assert autopilot.roi is None and len(commands(autopilot)) == 1
+
+
+def test_an_old_autopilot_that_knows_no_such_command_is_stated_by_name() -> None:
+    with flying(style="old") as (_, pointing, _received):
+        assert pointing.point(HILL) == "unsupported"
+
+
+def test_what_is_lost_is_sent_again_and_not_for_ever() -> None:
+    with flying() as (autopilot, pointing, _):
+        autopilot.roi_results.extend([None, int(mavlink.MAV_RESULT_ACCEPTED)])
+        assert pointing.point(HILL) == ACCEPTED
+        assert len(commands(autopilot)) == 2
+    with flying(limit_s=3.0) as (autopilot, pointing, _):
+        autopilot.roi_results.extend([None] * 20)
+        assert pointing.point(HILL) == NOT_ACKNOWLEDGED
+        assert 1 <= len(commands(autopilot)) <= MOST_SENT
+
+
+def test_over_a_line_that_loses_a_third_of_all_packets_it_is_never_sent_more_than_thrice() -> None:
+    with flying(limit_s=4.0, faults=Faults(loss=0.3), seed=3) as (autopilot, pointing, received):
+        words = []
+        for _ in range(4):
+            received.wait(State.OK)
+            before = len(commands(autopilot))
+            words.append(pointing.point(HILL))
+            assert len(commands(autopilot)) - before <= MOST_SENT
+        assert ACCEPTED in words and set(words) <= {ACCEPTED, NOT_ACKNOWLEDGED}
+
+
+def test_an_autopilot_that_is_at_it_is_waited_for_and_not_asked_again() -> None:
+    with flying() as (autopilot, pointing, _):
+        autopilot.roi_results.append(int(mavlink.MAV_RESULT_IN_PROGRESS))
+        words: list[str] = []
+
+        def is_sent() -> bool:
+            return bool(commands(autopilot))
+
+        asking = threading.Thread(target=lambda: words.append(pointing.point(HILL)))
+        asking.start()
+        assert eventually(is_sent)
+        done = mavlink.MAVLink_command_ack_message(
+            mavlink.MAV_CMD_DO_SET_ROI_LOCATION, mavlink.MAV_RESULT_ACCEPTED, 0, 0, autopilot.system, 191
+        )
+        autopilot.send_bytes(bytes(done.pack(mavlink.MAVLink(None, autopilot.system, 1))))
+        asking.join(PATIENCE_S)
+        assert words == [ACCEPTED] and len(commands(autopilot)) == 1
+
+
+def acknowledgement(command: int, system: int, component: int, to: tuple[int, int]) -> Any:
+    message = mavlink.MAVLink_command_ack_message(command, mavlink.MAV_RESULT_ACCEPTED, 0, 0, *to)
+    (found,) = mavlink.MAVLink(None).parse_buffer(message.pack(mavlink.MAVLink(None, system, component)))
+    return found
+
+
+def test_only_the_autopilots_own_acknowledgement_of_our_own_command_counts() -> None:
+    """As a ground station has the same camera look elsewhere, and another vehicle is on the line."""
+    pointing = Pointing(191, 0.3)
+    location, none = mavlink.MAV_CMD_DO_SET_ROI_LOCATION, mavlink.MAV_CMD_DO_SET_ROI_NONE
+    words: list[str] = []
+    asking = threading.Thread(target=lambda: words.append(pointing.point(HILL)))
+    asking.start()
+    assert eventually(lambda: pointing.due(10**9, 7))
+    for foreign in (
+        acknowledgement(location, 8, 1, (7, 191)),
+        acknowledgement(location, 7, 154, (7, 191)),
+        acknowledgement(location, 7, 1, (255, 190)),
+        acknowledgement(none, 7, 1, (7, 191)),
+    ):
+        pointing.receive(foreign, 7)
+    asking.join(PATIENCE_S)
+    assert words == [NOT_ACKNOWLEDGED]
+    assert pointing.due(10**10, 7) == []  # what no one waits for any more is not sent
+
+
+def test_nothing_is_sent_to_an_autopilot_that_is_silent() -> None:
+    with flying(limit_s=0.5) as (autopilot, pointing, received):
+        autopilot.mute(PATIENCE_S)
+        received.wait(State.LOST)
+        before = len(commands(autopilot))
+        assert pointing.point(HILL) == NO_AUTOPILOT
+        assert len(commands(autopilot)) == before == 0
+
+
+TLS = 'ca = "a"\ncertificate = "b"\nkey = "c"\n'
+
+
+@pytest.mark.parametrize(
+    ("url", "link", "word"),
+    [
+        (f"tlog:{TLOG}", f'{TLS}pointers = ["anna"]', "only a live autopilot"),
+        ("nmea:/dev/null:9600", f'{TLS}pointers = ["anna"]', "only a live autopilot"),
+        ("udpin:127.0.0.1:1", 'pointers = ["anna"]', "set link.ca, link.certificate and link.key"),
+        ("udpin:127.0.0.1:1", f'{TLS}allowed = ["ben"]\npointers = ["anna"]', "anna must also be in link.allowed"),
+        ("udpin:127.0.0.1:1", f'{TLS}pointers = ["*"]', "must be 1 to 32 letters"),
+    ],
+)
+def test_a_configuration_by_which_it_can_never_work_is_refused_by_name(url: str, link: str, word: str) -> None:
+    config = parse_config(f'[telemetry]\nurl = "{url}"\n[link]\n{link}\n')
+    with pytest.raises(ConfigError, match=word):
+        open_telemetry(config, SessionClock.start())
+
+
+def test_by_default_nothing_is_ever_sent_that_moves_anything() -> None:
+    with FakeAutopilot(FLIGHT, f"udpout:127.0.0.1:{free_udp_port()}", loop=True) as autopilot:
+        with listening(config_for(autopilot.url)) as received:
+            received.wait(State.OK)
+        kinds = {message.get_type() for message in list(autopilot.received)}
+        asked = {message.command for message in autopilot.received_of("COMMAND_LONG")}
+        assert "COMMAND_INT" not in kinds
+        assert asked <= {mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, mavlink.MAV_CMD_REQUEST_MESSAGE}
