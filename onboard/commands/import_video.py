@@ -47,11 +47,14 @@ START = ", or when the video began, --start TIME"
 
 @dataclass(frozen=True)
 class _Beginning:
-    """The beginning of the video, the source that states it, and what is known of that clock."""
+    """The beginning of the video, the source that states it, and what is known of that clock: against UTC, or against
+    the log's own where the log `is_own`.
+    """
 
     unix_ns: int
     source: str
     stated: Stated | None = None
+    is_own: bool = False
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -84,7 +87,7 @@ def run(arguments: argparse.Namespace) -> int:
         config = parse_config(config_text(sections, settings))
         pictures = frames(video, times_s)
         is_given = arguments.start is None and arguments.clock_offset is not None
-        stated = against_log(began.stated, log, is_given)
+        stated = began.stated if began.is_own else against_log(began.stated, log, is_given)
         clock = clock_of(
             replace(log, shots_ns=()), config, optics.camera, moments_ns, SIGMA_FRAME_S, pictures, stated, START
         )
@@ -131,7 +134,7 @@ def _beginning(video: Path, log: TelemetryLog, arguments: argparse.Namespace) ->
     if log.video_began is not None and set(arguments.telemetry) <= {video} and arguments.start is None:
         began_ns, sigma_s = log.video_began
         source = "the times of the telemetry in it"
-        return _Beginning(began_ns, source, Stated(0.0, sigma_s, source))
+        return _Beginning(began_ns, source, Stated(0.0, sigma_s, source), is_own=True)
     if arguments.start is not None:
         start_ns, sigma_s = arguments.start
         return _Beginning(start_ns, "as given", Stated(0.0, sigma_s, "--start"))

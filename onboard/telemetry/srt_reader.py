@@ -8,6 +8,8 @@
     GPS(E: 8.2, N: 47.1, 501.3m)                                           (Autel)
     GPS(E: 8.2, N: 47.1, 14) ReH:30.1                                      (Autel's .ass; 14 is not a height)
     GPS (8.2, 47.1, 14), D 24.1m, H 30.1m, H.S 3.0m/s, F.PRY (-4.0°, 0.3°, 12.1°), G.PRY (-90.0°, 0.0°, 12.3°)
+    stream->FrameCnt:1 latitude:N47°6′0.1″, longitude:E8°12′0.0″, rel_alt:501.3, abs_alt:501.3, gb_yaw:-12.0, ...
+                                             (SIYI; its rel_alt is abs_alt again, and its gb_yaw counts from the nose)
 
 A subtitle's own time is the video's, so pictures of the same video need no other clock. Dates are the camera's local
 time; they are taken as UTC, as the names of files are.
@@ -39,7 +41,7 @@ from onboard.telemetry.telemetry_log import TelemetryLog, attitudes, gimbal_atti
 _NUMBER = r"([+-]?\d{1,9}(?!\d)(?:\.\d+)?)"
 _INTERVAL = re.compile(r"(?<!\d)(\d+):(\d\d):(\d\d)[,.](\d{1,3})\s*-->\s*\d+:\d\d:\d\d[,.]\d{1,3}")
 _DATE = re.compile(
-    r"(?<!\d)(\d{4})[-./](\d{1,2})[-./](\d{1,2})[ T]+(\d{1,2}):(\d{2}):(\d{2})(?:[.,](\d{3})(?:[.,](\d{3}))?)?"
+    r"(?<!\d)(\d{4})[-./](\d{1,2})[-./](\d{1,2})[ T_]+(\d{1,2})[:-](\d{2})[:-](\d{2})(?:[.,](\d{3})(?:[.,](\d{3}))?)?"
 )
 _NAMED = re.compile(rf"([A-Za-z_]+)\s*:\s*{_NUMBER}")
 _TRIPLE = r"\s*\(\s*{n}\s*,\s*{n}\s*(?:,\s*({n}\s*M?)\s*)?\)".replace("{n}", _NUMBER)
@@ -47,6 +49,7 @@ _GPS, _HOME = (re.compile(rf"(?<![A-Z.])(?:{name}){_TRIPLE}", re.IGNORECASE) for
 _LETTERED = re.compile(
     rf"(?<![A-Z.])GPS\s*\(\s*([EWNS]):\s*{_NUMBER}\s*,\s*([EWNS]):\s*{_NUMBER}\s*(?:,\s*{_NUMBER}m)?", re.I
 )
+_MINUTES = re.compile(r"\b(?:latitude|longitude)\s*:\s*([NSEW])(\d{1,3})°(\d{1,2})[′'](\d{1,2}(?:\.\d+)?)[″\"]")
 _FROM_HOME = re.compile(rf"(?<![\w.])D\s*[= ]\s*{_NUMBER}\s*m\b")
 _SPEED = re.compile(rf"(?<![\w.])(?:H\.S\s+|Hs:\s*){_NUMBER}")
 _DZOOM, _EIS = re.compile(rf"\bDZOOM\s+{_NUMBER}"), re.compile(r"\beis\s*:\s*(\w+)")
@@ -60,6 +63,8 @@ _DIALOGUE = re.compile(
 EMPTY_EPOCH_NS = 946_684_800_000_000_000  # of a log without any date: 2000-01-01
 EIS_OFF = {"close", "closed", "off", "none", "0"}
 MAX_HEIGHT_M = 1e5
+SIYI = "stream->FrameCnt"
+MINUTES_DECIMALS = 4.56  # of degrees: a tenth of a second of arc
 HOURS_DIGITS = 2  # of a video's own time: what has more is damaged
 DZOOM_SCALE, MAX_DZOOM = 10_000.0, 100.0  # older models write 10000 for 1.0
 MIN_FOCAL_MM, MAX_FOCAL_MM = 10.0, 500.0
@@ -73,7 +78,7 @@ class _Subtitle:
     taken_ns: int | None
     lat_deg: float | None = None
     lon_deg: float | None = None
-    decimals: int = 6
+    decimals: float = 6
     height_amsl_m: float | None = None
     altitude_m: float | None = None  # above the sea, or above the take-off
     above_home_m: float | None = None
@@ -84,6 +89,7 @@ class _Subtitle:
     eis: str = ""
     gimbal_deg: tuple[float, float, float] | None = None  # roll, pitch, yaw against north-east-down
     body_deg: tuple[float, float, float] | None = None
+    is_from_nose: bool = False  # the gimbal's yaw
 
 
 def looks_like_subtitles(head: bytes) -> bool:
@@ -165,8 +171,12 @@ def _subtitle(at_ns: int, text: str) -> _Subtitle:
     if latitude is None and (letters := _LETTERED.search(text)) is not None:
         latitude, longitude = _by_letters(letters)
         altitude = None if letters[5] is None else float(letters[5])
+    decimals: float = _decimals(latitude, longitude)
+    is_siyi = SIYI in text
+    if latitude is None and is_siyi:
+        (latitude, longitude), decimals = _in_minutes(text), MINUTES_DECIMALS
     unlabelled = _unlabelled(at_ns, text) if latitude is None else None
-    above = number.get("rel_alt")
+    above = None if is_siyi else number.get("rel_alt")
     if above is None and (height := _ABOVE_HOME.search(text)) is not None:
         above = float(height[1])
     place = _place(latitude, longitude)
@@ -182,17 +192,18 @@ def _subtitle(at_ns: int, text: str) -> _Subtitle:
         _date_ns(text),
         lat_deg=None if place is None else place[0],
         lon_deg=None if place is None else place[1],
-        decimals=_decimals(latitude, longitude) if unlabelled is None else unlabelled.decimals,
+        decimals=decimals if unlabelled is None else unlabelled.decimals,
         height_amsl_m=number.get("abs_alt"),
         altitude_m=altitude,
         above_home_m=above,
         unlabelled=unlabelled,
         satellites=None if unlabelled is None else _satellites(unlabelled.third),
-        dzoom=_dzoom(number.get("dzoom_ratio"), text),
+        dzoom=_dzoom(number.get("mix_ratio" if is_siyi else "dzoom_ratio"), text),
         focal_mm=_focal_mm(named.get("focal_len")),
         eis="" if eis is None else eis[1].lower(),
         gimbal_deg=_named_angles(number, "gb") or angles.get("G"),
         body_deg=_named_angles(number, "drone") or angles.get("F") or angles.get("D"),
+        is_from_nose=is_siyi,
     )
 
 
@@ -202,6 +213,17 @@ def _by_letters(letters: re.Match[str]) -> tuple[str | None, str | None]:
         "lat" if letter.upper() in "NS" else "lon": ("-" if letter.upper() in "SW" else "") + number.lstrip("+")
         for letter, number in (letters.group(1, 2), letters.group(3, 4))
         if not (letter.upper() in "SW" and number.startswith("-"))  # is south of south north?
+    }
+    return signed.get("lat"), signed.get("lon")
+
+
+def _in_minutes(text: str) -> tuple[str | None, str | None]:
+    """Latitude and longitude of `latitude:N47°6′0.1″`, in degrees."""
+    signed = {
+        "lat" if letter in "NS" else "lon": ("-" if letter in "SW" else "")
+        + f"{int(degrees) + int(minutes) / 60.0 + float(seconds) / 3600.0:.7f}"
+        for letter, degrees, minutes, seconds in _MINUTES.findall(text)
+        if int(minutes) < 60 and float(seconds) < 60.0
     }
     return signed.get("lat"), signed.get("lon")
 
@@ -362,5 +384,14 @@ def _is_an_attitude(angles_deg: tuple[float, float, float] | None) -> TypeGuard[
 
 def _attitudes(subtitles: list[_Subtitle], epoch_ns: int) -> list[NavEvent]:
     of_body = [(epoch_ns + s.at_ns, s.body_deg) for s in subtitles if _is_an_attitude(s.body_deg)]
-    of_gimbal = [(epoch_ns + s.at_ns, s.gimbal_deg) for s in subtitles if _is_an_attitude(s.gimbal_deg)]
-    return attitudes(of_body) + gimbal_attitudes(of_gimbal)
+    by_north = [s for s in subtitles if not s.is_from_nose]
+    by_nose = [s for s in subtitles if s.is_from_nose]
+    return [
+        *attitudes(of_body),
+        *gimbal_attitudes(_gimbal_angles(by_north, epoch_ns)),
+        *gimbal_attitudes(_gimbal_angles(by_nose, epoch_ns), "vehicle"),
+    ]
+
+
+def _gimbal_angles(subtitles: list[_Subtitle], epoch_ns: int) -> list[tuple[int, tuple[float, float, float]]]:
+    return [(epoch_ns + s.at_ns, s.gimbal_deg) for s in subtitles if _is_an_attitude(s.gimbal_deg)]

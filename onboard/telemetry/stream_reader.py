@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from statistics import median
@@ -40,7 +41,8 @@ def read_stream(path: Path, options: ReadOptions) -> TelemetryLog:
     sigma_s = 0.0 if all(sample.is_utc for _, sample in timed) else SIGMA_LEAP_S
     log = log_of_rows(placed, [*notes, *of_heights], utc_sigma_s=sigma_s, is_repeated=True)
     began_ns = round(median(sample.stamp_ns - time_s * NS_PER_S for time_s, sample in timed))
-    return replace(log, video_began=(began_ns, SIGMA_BEGAN_S), focal_mm=_focal_lengths([s for _, s in timed]))
+    widths = [(sample.stamp_ns, sample.width_deg) for _, sample in timed]
+    return replace(log, video_began=(began_ns, SIGMA_BEGAN_S), focal_mm=focal_lengths(widths))
 
 
 def _samples(path: Path) -> tuple[list[tuple[float, Sample]], int]:
@@ -50,12 +52,14 @@ def _samples(path: Path) -> tuple[list[tuple[float, Sample]], int]:
     return timed, reader.damaged
 
 
-def _focal_lengths(samples: list[Sample]) -> tuple[tuple[int, float], ...]:
-    """From which moment on the lens had which focal length, equivalent to film 36 mm wide."""
+def focal_lengths(widths_deg: Iterable[tuple[int, float | None]]) -> tuple[tuple[int, float], ...]:
+    """Return from which moment (ns) on a lens had which focal length, mm, equivalent to film 36 mm wide, by horizontal
+    fields of view in degrees, each with its stamp.
+    """
     out: list[tuple[int, float]] = []
-    for sample in sorted(samples, key=lambda each: each.stamp_ns):
-        if sample.width_deg is not None and 0.0 < sample.width_deg < 180.0:  # half a turn has no length
-            focal_mm = equivalent_mm(sample.width_deg)
+    for stamp_ns, width_deg in sorted(widths_deg, key=lambda each: each[0]):
+        if width_deg is not None and 0.0 < width_deg < 180.0:  # half a turn has no length
+            focal_mm = equivalent_mm(width_deg)
             if not out or abs(math.log(focal_mm / out[-1][1])) > SAME_ZOOM:
-                out.append((sample.stamp_ns, round(focal_mm, DIGITS_MM)))
+                out.append((stamp_ns, round(focal_mm, DIGITS_MM)))
     return tuple(out)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -136,10 +137,14 @@ def attitudes(angles: Sequence[tuple[int, Euler]], rates: Sequence[Euler | None]
     return [Attitude(stamp_ns, q, rate) for (stamp_ns, _), q, rate in found]
 
 
-def gimbal_attitudes(angles: Sequence[tuple[int, Euler]]) -> list[NavEvent]:
-    """A camera's attitudes, as its own aircraft wrote them: roll, pitch, yaw in degrees against north-east-down."""
+def gimbal_attitudes(
+    angles: Sequence[tuple[int, Euler]], reference: Literal["vehicle", "earth"] = "earth"
+) -> list[NavEvent]:
+    """A camera's attitudes, as its own aircraft wrote them: roll and pitch in degrees against the horizon, yaw against
+    north, or against the vehicle's nose.
+    """
     found = zip(angles, _unit_quaternions(angles), strict=True)
-    return [GimbalAttitude(stamp_ns, q, "earth", is_of_camera=True) for (stamp_ns, _), q in found]
+    return [GimbalAttitude(stamp_ns, q, reference, is_of_camera=True) for (stamp_ns, _), q in found]
 
 
 def _unit_quaternions(angles: Sequence[tuple[int, Euler]]) -> list[tuple[float, float, float, float]]:

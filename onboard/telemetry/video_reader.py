@@ -1,4 +1,6 @@
-"""Telemetry that lies in a video itself -> events: a track of subtitles, or GoPro's GPMF. Others are named."""
+"""Telemetry that lies in a video itself -> events: a track of subtitles, GoPro's GPMF, or what ArduPilot's camera
+application writes into each picture. Others are named.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from contract.errors import InputError
-from onboard.telemetry import gpmf
+from onboard.telemetry import gpmf, picture_telemetry
 from onboard.telemetry.mp4_container import Track, tracks_of
 from onboard.telemetry.read_options import ReadOptions
 from onboard.telemetry.row_events import SIGMA_GEOID_M, log_of_rows, with_heights
@@ -28,8 +30,9 @@ OTHERS = (
 
 
 def has_telemetry(path: Path) -> bool:
-    """Return whether there is a track in a video that `read_video` reads."""
-    return any(track.kind in (gpmf.KIND, *SUBTITLES) for track in tracks_of(path))
+    """Return whether there is anything in a video that `read_video` reads."""
+    is_in_track = any(track.kind in (gpmf.KIND, *SUBTITLES) for track in tracks_of(path))
+    return is_in_track or picture_telemetry.is_in(path)
 
 
 def other_telemetry(path: Path) -> str:
@@ -52,6 +55,8 @@ def read_video(path: Path, options: ReadOptions) -> TelemetryLog:
     for track in tracks:
         if track.kind in SUBTITLES:
             return log_of_subtitles(_texts(track), options.home_amsl_m, options.gps_order)
+    if picture_telemetry.is_in(path):
+        return picture_telemetry.read(path)
     what = other_telemetry(path)
     raise InputError(f"in it is {what}" if what else "no telemetry that is known is in it: give the flight's log")
 

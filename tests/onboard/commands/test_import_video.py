@@ -21,7 +21,17 @@ from onboard.telemetry.log_files import read_log
 from onboard.telemetry.mp4_container import creation_ns
 from simulation.flight import RecordedSpec, find_recording
 from simulation.session import SessionSpec
-from tests.onboard.telemetry.log_writers import T0_S, Moment, gopro_seconds, misb_items, misb_set, with_track, written
+from tests.onboard.telemetry.log_writers import (
+    T0_S,
+    Moment,
+    box,
+    gopro_seconds,
+    misb_items,
+    misb_set,
+    with_track,
+    written,
+)
+from tests.onboard.telemetry.picture_messages import message, snapshot
 from tests.own_flights import set_creation, vary_rate, with_metadata, write_video
 from tests.rest_long import rest_long
 from tests.scenarios.flights import simulated
@@ -254,6 +264,21 @@ def test_a_stream_s_metadata_are_its_log_and_its_field_of_view_the_lens(
     assert float(first.split(",")[1]) == pytest.approx(T0_S, abs=0.1)
     config = load_config_files(tmp_path / "flight" / "config.toml")
     assert (config.mount.gimbal, config.solve.attitude) == ("always", "autopilot")
+
+
+def test_what_ardupilot_s_camera_wrote_into_each_picture_is_the_video_s_log(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    video = clip(tmp_path / "A_0042.mp4")
+    every = b"".join(message(snapshot(0.1 * k)) for k in range(20))
+    video.write_bytes(video.read_bytes() + box(b"free", every))
+    assert imported(tmp_path, video) == 0
+    printed = capsys.readouterr().out
+    assert "the times of the telemetry in it" in printed and "the gimbal's angles as the log states" in printed
+    first = (tmp_path / "flight" / "stamps.csv").read_text().splitlines()[1]
+    assert float(first.split(",")[1]) == pytest.approx(T0_S, abs=0.1)
+    # Its clock and the log's are one, whatever UTC is.
+    assert 0.4 < load_config_files(tmp_path / "flight" / "config.toml").camera.sigma_latency_s < 0.6
 
 
 def test_angles_in_the_log_say_how_the_camera_is_held(tmp_path: Path) -> None:

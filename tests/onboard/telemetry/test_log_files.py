@@ -400,6 +400,11 @@ DIALECTS = {
         "[rel_alt: 50.6 abs_alt: 300] [Drone: Yaw:1.9, Pitch:-3.1, Roll:1.5] [Gimbal: Yaw:10.0, Pitch:-45.0, Roll:0.0]",
         (41.3, -81.3, 300.0, 50.6, 100.0), (0.0, -45.0, 10.0),
     ),
+    "siyi": (
+        "2026-06-01_09-00-00 stream->FrameCnt:0 \nlatitude:S35°21′46.8″, longitude:E149°9′54.0″, rel_alt:650.2, "
+        "abs_alt:650.2, gb_yaw:-12.3, gb_pitch:-45.0, gb_roll:0.0, mix_ratio:2.0",
+        (-35.363, 149.165, 650.2, None, 100.0), (0.0, -45.0, -12.3),
+    ),
 }  # fmt: skip
 HOME_NEEDED = {
     "phantom 4": "HOME(149.0251,-20.2532) 2017.08.05 14:11:51\nGPS(149.0251,-20.2533,16) BAROMETER:31.9\nISO:100",
@@ -424,7 +429,11 @@ def test_dialects_of_dji_s_subtitles(tmp_path: Path, dialect: str) -> None:
     if gimbal_deg is not None:
         R = matrix_from_quaternion(gimbal[0].q_ref_gimbal)
         assert math.degrees(math.asin(-R[2, 0])) == pytest.approx(gimbal_deg[1])
+        assert gimbal[0].reference == ("vehicle" if dialect == "siyi" else "earth")
     assert log.video_epoch_ns == fix.stamp_ns
+    if dialect == "siyi":  # a tenth of a second of arc
+        assert of(log, GpsQuality)[0].sigma_horizontal_m == pytest.approx(0.1 / 3600 * 111_320 / 12**0.5, rel=0.02)
+        assert [ratio for _, ratio in log.digital_zoom] == [2.0]
 
 
 @pytest.mark.parametrize("dialect", HOME_NEEDED)
