@@ -130,7 +130,7 @@ def _size(video: Path) -> tuple[int, int]:
 def _beginning(video: Path, log: TelemetryLog, arguments: argparse.Namespace) -> _Beginning:
     """Return the beginning by the subtitles, else as given, by the name, or by the file. Raises InputError."""
     if log.video_epoch_ns is not None:
-        return _Beginning(log.video_epoch_ns, "as the subtitles count")
+        return _Beginning(log.video_epoch_ns, "as its log counts")
     if log.video_began is not None and set(arguments.telemetry) <= {video} and arguments.start is None:
         began_ns, sigma_s = log.video_began
         source = "the times of the telemetry in it"

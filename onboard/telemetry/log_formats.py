@@ -125,8 +125,8 @@ FORMATS = (
     LogFormat(
         "mp4", "a video", ".mp4", "a box `ftyp`", begins_mp4, read_video,
         "a track of subtitles, as an `.srt` has them; GoPro's GPMF: position, height above the ellipsoid or `MSLV` "
-        "+-40 m; in each picture AP_CameraGimbal's position, velocity, attitude, gimbal, field of view; when it "
-        "began +-0.5 s",
+        "+-40 m; Parrot's (Anafi) and AP_CameraGimbal's: position, velocity, attitude, gimbal, field of view; when the "
+        "last and GoPro's began, +-0.5 s",
         "`--home-amsl-m` or `--gps-order` in some dialects",
     ),
     LogFormat(

@@ -21,7 +21,6 @@ KEY = bytes.fromhex("060e2b34020b01010e01030101000000")
 CHECKSUM, TIME, LEAP_SECONDS = 1, 2, 136
 CHECKSUM_BYTES = 4  # its number, its length and itself
 US = 1000  # ns
-FILM_WIDTH_MM = 36.0
 
 
 @dataclass(frozen=True)
@@ -108,11 +107,6 @@ def _vehicle_deg(v: Mapping[int, float]) -> tuple[float, float, float] | None:
 
 def _turn(roll_deg: float, pitch_deg: float, yaw_deg: float) -> np.ndarray:
     return matrix_from_euler(*(math.radians(angle) for angle in (roll_deg, pitch_deg, yaw_deg)))
-
-
-def equivalent_mm(width_deg: float) -> float:
-    """The focal length with that horizontal field of view on film 36 mm wide."""
-    return 0.5 * FILM_WIDTH_MM / math.tan(math.radians(0.5 * width_deg))
 
 
 class Reader:

@@ -18,6 +18,7 @@ from typing import Any
 from uuid import UUID
 
 from contract.errors import InputError
+from onboard.telemetry.field_of_view import focal_lengths
 from onboard.telemetry.row_events import (
     ABOVE_HOME,
     ATTITUDE,
@@ -29,7 +30,6 @@ from onboard.telemetry.row_events import (
     Rows,
     log_of_rows,
 )
-from onboard.telemetry.stream_reader import focal_lengths
 from onboard.telemetry.telemetry_log import NS_PER_S, TelemetryLog
 
 MARK = UUID("8d646b4e-556f-4a90-8b7c-35e629510321").bytes

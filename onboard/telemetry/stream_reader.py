@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from statistics import median
 
 from contract.errors import InputError
-from onboard.telemetry.misb import Reader, Sample, equivalent_mm
+from onboard.telemetry.field_of_view import focal_lengths
+from onboard.telemetry.misb import Reader, Sample
 from onboard.telemetry.read_options import ReadOptions
 from onboard.telemetry.row_events import SIGMA_GEOID_M, log_of_rows, with_heights
 from onboard.telemetry.telemetry_log import NS_PER_S, TelemetryLog
@@ -20,8 +19,6 @@ from onboard.telemetry.transport_stream import metadata_of
 SIGMA_BEGAN_S = 0.5
 # A sender that does not state leap seconds counts UTC, or without those since the time system's beginning.
 SIGMA_LEAP_S = 29.0
-SAME_ZOOM = 0.01  # of a field of view, as a share: its steps, and what a lens breathes
-DIGITS_MM = 2
 
 
 def read_stream(path: Path, options: ReadOptions) -> TelemetryLog:
@@ -50,16 +47,3 @@ def _samples(path: Path) -> tuple[list[tuple[float, Sample]], int]:
     reader = Reader()
     timed = [(packet.time_s, s) for packet in metadata_of(path) for s in reader.samples(packet.content)]
     return timed, reader.damaged
-
-
-def focal_lengths(widths_deg: Iterable[tuple[int, float | None]]) -> tuple[tuple[int, float], ...]:
-    """Return from which moment (ns) on a lens had which focal length, mm, equivalent to film 36 mm wide, by horizontal
-    fields of view in degrees, each with its stamp.
-    """
-    out: list[tuple[int, float]] = []
-    for stamp_ns, width_deg in sorted(widths_deg, key=lambda each: each[0]):
-        if width_deg is not None and 0.0 < width_deg < 180.0:  # half a turn has no length
-            focal_mm = equivalent_mm(width_deg)
-            if not out or abs(math.log(focal_mm / out[-1][1])) > SAME_ZOOM:
-                out.append((stamp_ns, round(focal_mm, DIGITS_MM)))
-    return tuple(out)

@@ -1,5 +1,5 @@
-"""Telemetry that lies in a video itself -> events: a track of subtitles, GoPro's GPMF, or what ArduPilot's camera
-application writes into each picture. Others are named.
+"""Telemetry that lies in a video itself -> events: a track of subtitles, GoPro's GPMF or Parrot's, or what ArduPilot's
+camera application writes into each picture. Others are named.
 """
 
 from __future__ import annotations
@@ -9,20 +9,22 @@ from dataclasses import replace
 from pathlib import Path
 
 from contract.errors import InputError
-from onboard.telemetry import gpmf, picture_telemetry
-from onboard.telemetry.mp4_container import Track, tracks_of
+from onboard.telemetry import gpmf, parrot, picture_telemetry
+from onboard.telemetry.field_of_view import focal_lengths
+from onboard.telemetry.mp4_container import Track, creation_ns, tracks_of
 from onboard.telemetry.read_options import ReadOptions
 from onboard.telemetry.row_events import SIGMA_GEOID_M, log_of_rows, with_heights
-from onboard.telemetry.srt_reader import log_of_subtitles
+from onboard.telemetry.srt_reader import EMPTY_EPOCH_NS, log_of_subtitles
 from onboard.telemetry.telemetry_log import NS_PER_S, TelemetryLog
 
 SUBTITLES = ("tx3g", "text")
 # Of when a video began, by the times of the receiver in it: they come late, by how much is not known.
 SIGMA_BEGAN_S = 0.5
+SIGMA_CREATED_S = 1.0  # of a file's creation time, whole seconds of the aircraft's clock
 GPX = "make a GPX of it (exiftool -ee -p gpx.fmt) and give that"
 # Kinds of tracks that are not read: by four characters and, of a general kind, what describes it; what to do.
 OTHERS = (
-    ("mett", b"parrot", f"a Parrot's telemetry: {GPX}"),
+    ("mett", b"parrot", f"a Parrot's telemetry, of another version than 3: {GPX}"),
     ("djmd", b"", "DJI's own data (djmd): give the .SRT of the video, or AirData's table of the flight"),
     ("camm", b"", f"Google's camera motion (camm): {GPX}"),
     ("rtmd", b"", f"Sony's metadata (rtmd): {GPX}"),
@@ -31,7 +33,7 @@ OTHERS = (
 
 def has_telemetry(path: Path) -> bool:
     """Return whether there is anything in a video that `read_video` reads."""
-    is_in_track = any(track.kind in (gpmf.KIND, *SUBTITLES) for track in tracks_of(path))
+    is_in_track = any(track.kind in (gpmf.KIND, *SUBTITLES) or parrot.is_read(track) for track in tracks_of(path))
     return is_in_track or picture_telemetry.is_in(path)
 
 
@@ -52,6 +54,8 @@ def read_video(path: Path, options: ReadOptions) -> TelemetryLog:
     for track in tracks:
         if track.kind == gpmf.KIND:
             return _gopro(track, options)
+        if parrot.is_read(track):
+            return _parrot(track, creation_ns(path))
     for track in tracks:
         if track.kind in SUBTITLES:
             return log_of_subtitles(_texts(track), options.home_amsl_m, options.gps_order)
@@ -83,3 +87,15 @@ def _gopro(track: Track, options: ReadOptions) -> TelemetryLog:
     placed, of_heights = with_heights(rows, None, options.undulation_m, SIGMA_GEOID_M)
     log = log_of_rows(placed, [*notes, *of_heights], is_repeated=True)
     return replace(log, video_began=(began_ns, SIGMA_BEGAN_S))
+
+
+def _parrot(track: Track, created_ns: int | None) -> TelemetryLog:
+    """The log of a track whose samples have the pictures' own times; `created_ns`: when the video began, to 1 s."""
+    began_ns = EMPTY_EPOCH_NS if created_ns is None else created_ns
+    flight = parrot.flight_of(track, began_ns)
+    if not flight.rows or flight.without == len(flight.rows):
+        raise InputError(f"none of the {len(track.samples)} samples of its Parrot track has a position: no fix")
+    notes = [f"{flight.without} of {len(flight.rows)} samples have no position"] if flight.without else []
+    sigma_s = None if created_ns is None else SIGMA_CREATED_S
+    log = log_of_rows(flight.rows, notes, sigma_s, is_repeated=True)
+    return replace(log, video_epoch_ns=began_ns, focal_mm=focal_lengths(flight.widths_deg))

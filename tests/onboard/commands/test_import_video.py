@@ -245,7 +245,7 @@ def test_a_gopro_s_own_track_is_its_log_and_another_s_is_named(
     assert float(first.split(",")[1]) == pytest.approx(T0_S, abs=0.1)
     assert 0.4 < load_config_files(tmp_path / "flight" / "config.toml").camera.sigma_latency_s < 0.6
     parrot = clip(tmp_path / "P0042.MP4")
-    with_track(parrot, b"mett", [b"x"], [0.0], b"application/vnd.parrot.videometadata")
+    with_track(parrot, b"mett", [b"x"], [0.0], b"application/octet-stream;type=com.parrot.videometadata2")
     assert main(["import-video", str(parrot), "--out", str(tmp_path / "other")]) == 2
     complaint = capsys.readouterr().err
     assert "no log of the flight next to it" in complaint and "In the video is a Parrot's telemetry" in complaint

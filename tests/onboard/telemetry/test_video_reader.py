@@ -1,14 +1,15 @@
 """Telemetry in a video's own tracks; that of a whole flight is in `test_log_files`."""
 
+import math
 import struct
 from pathlib import Path
 
 import pytest
 
 from contract.errors import InputError
-from onboard.events.types import PositionFix
+from onboard.events.types import Attitude, GimbalAttitude, PositionFix
 from onboard.telemetry.log_files import read_log
-from onboard.telemetry.telemetry_log import TelemetryLog
+from onboard.telemetry.telemetry_log import TelemetryLog, quaternion
 from tests.onboard.telemetry.log_writers import gpmf, mp4
 
 BEGAN_NS = 1_780_308_000 * 10**9  # 2026-06-01 10:00:00
@@ -63,7 +64,8 @@ def test_subtitles_in_a_video_are_as_those_next_to_it(tmp_path: Path) -> None:
     ("kind", "about", "printed"),
     [
         (b"gpmd", b"", "its GPMF track has no position"),
-        (b"mett", b"application/vnd.parrot.videometadata", "a Parrot's telemetry: make a GPX of it"),
+        (b"mett", b"application/octet-stream;type=com.parrot.videometadata2", "a Parrot's telemetry, of another"),
+        (b"mett", b"application/octet-stream;type=com.parrot.videometadata3", "none of the 1 samples"),
         (b"mett", b"application/x-others", "no telemetry that is known"),
         (b"djmd", b"", "DJI's own data"),
         (b"tx3g", b"", "no position in its 1 subtitles"),
@@ -72,6 +74,51 @@ def test_subtitles_in_a_video_are_as_those_next_to_it(tmp_path: Path) -> None:
 def test_what_is_in_a_video_and_not_read_is_named(tmp_path: Path, kind: bytes, about: bytes, printed: str) -> None:
     with pytest.raises(InputError, match=printed):
         read(tmp_path, mp4(kind, [b"\0\5hello"], [0.0], about=about))
+
+
+PARROT = b"application/octet-stream;type=com.parrot.videometadata3"
+
+
+def parrot(
+    lat_deg: float,
+    drone_deg: tuple[float, float, float] = (5.0, -3.0, 40.0),
+    view_deg: tuple[float, float, float] = (0.0, -60.0, 42.0),
+    height_m: float = 501.25,
+    width_deg: float = 69.0,
+) -> bytes:
+    """A sample of version 3, with an extension behind it."""
+    fixed = [round(x * 2**22) for x in (lat_deg, 8.2)]
+    quaternions = [round(x * 2**14) for angles in (drone_deg, (0.0, 0.0, 42.0), view_deg) for x in quaternion(angles)]
+    base = struct.pack(">i2i", 80 << 16, *fixed) + struct.pack(">i", round(height_m * 256) << 8 | 14)
+    base += struct.pack(">4h", *(round(x * 256) for x in (12.0, -3.0, 0.5, -1.0))) + struct.pack(">12h", *quaternions)
+    base += struct.pack(">4H2HI4B", 512, 100, 2**14, 2**14, round(width_deg * 256), 40 * 256, 0, 200, 80, 3, 1)
+    return struct.pack(">HH", 0x5033, len(base) // 4) + base + struct.pack(">HHQ", 0x4531, 2, 123)
+
+
+def test_a_parrot_s_samples_belong_to_their_pictures(tmp_path: Path) -> None:
+    samples = [parrot(47.0 + 1e-4 * k) for k in range(4)]
+    log = read(tmp_path, mp4(b"mett", samples, [0.0, 0.5, 1.0, 1.5], about=PARROT))
+    assert log.video_epoch_ns is not None and log.utc_sigma_s is None  # the container has no time of its own
+    fixes = [event for event in log.events if isinstance(event, PositionFix)]
+    assert [fix.stamp_ns - log.video_epoch_ns for fix in fixes] == [k * 500_000_000 for k in range(4)]
+    assert [fix.lat_deg for fix in fixes] == pytest.approx([47.0 + 1e-4 * k for k in range(4)], abs=2e-7)
+    assert fixes[0].height_amsl_m == 501.25 and fixes[0].velocity_ned_m_s == (12.0, -3.0, 0.5)
+    (attitude, *_), (gimbal, *_) = (
+        [event for event in log.events if isinstance(event, kind)] for kind in (Attitude, GimbalAttitude)
+    )
+    assert gimbal.reference == "earth" and gimbal.is_of_camera
+    assert attitude.q_ned_body == pytest.approx(quaternion((5.0, -3.0, 40.0)), abs=1e-4)
+    assert gimbal.q_ref_gimbal == pytest.approx(quaternion((0.0, -60.0, 42.0)), abs=1e-4)
+    assert [mm for _, mm in log.focal_mm] == [pytest.approx(18.0 / math.tan(math.radians(34.5)), rel=1e-3)]
+
+
+def test_a_parrot_without_a_fix_or_with_half_a_sample_has_no_position_then(tmp_path: Path) -> None:
+    known, below = parrot(47.0, height_m=-12.5), parrot(47.001)[:60]
+    samples = [parrot(500.0), known, below, b"", bytes(80), parrot(47.002, drone_deg=(0.0, 0.0, 0.0))]
+    log = read(tmp_path, mp4(b"mett", samples, [0.5 * k for k in range(6)], about=PARROT))
+    fixes = [event for event in log.events if isinstance(event, PositionFix)]
+    assert [fix.height_amsl_m for fix in fixes] == [-12.5, 501.25]
+    assert log.notes[0] == "1 of 3 samples have no position"
 
 
 def test_a_damaged_container_is_refused_in_a_line(tmp_path: Path) -> None:
