@@ -434,6 +434,10 @@ def _add_importing(command: argparse.ArgumentParser) -> None:
         "or what photographs state",
     )  # fmt: skip
     command.add_argument(
+        "--stamps", type=Path, metavar="STAMPS.csv",
+        help="when each picture was taken: file,unix_time_s of photographs, index,unix_time_s of a video",
+    )  # fmt: skip
+    command.add_argument(
         "--set",
         action="append",
         default=[],

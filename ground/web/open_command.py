@@ -59,6 +59,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--set", action="append", default=[], metavar="KEY=VALUE",
         help="camera.fov_deg, camera.file or a configuration key such as mount.pitch_deg, not guessed; repeatable",
     )  # fmt: skip
+    parser.add_argument(
+        "--stamps", metavar="STAMPS.csv", type=Path,
+        help="when each picture was taken: file,unix_time_s of photographs, index,unix_time_s of a video",
+    )  # fmt: skip
     parser.add_argument("--start", metavar="TIME", help="when the video began, in UTC, as 2026-06-12T10:15:23.4Z")
     parser.add_argument("--utc-offset", metavar="H", help="the camera's clock is so many hours ahead of UTC")
     parser.add_argument(
@@ -76,8 +80,9 @@ def run(args: argparse.Namespace) -> int:
     if not args.input.exists():
         raise InputError(f"{args.input}: no such file or folder")
     if is_session(args.input):
-        if args.telemetry:
-            raise InputError(f"{args.input}: a session has its own telemetry: leave --telemetry out")
+        for name in ("telemetry", "stamps"):
+            if getattr(args, name):
+                raise InputError(f"{args.input}: a session has its own {name}: leave --{name} out")
         session, video = args.input, args.log
     else:
         args.input = _video_in(args.input) or args.input
@@ -153,6 +158,8 @@ def _import_words(args: argparse.Namespace) -> list[str]:
         if args.input.is_dir():
             raise InputError("--start is of a video; photographs have their times in EXIF or name")
         words += ["--start", args.start]
+    if args.stamps is not None:
+        words += ["--stamps", str(args.stamps.resolve())]
     for name in ("utc_offset", "clock_offset", "home_amsl_m"):
         value = getattr(args, name)
         words += [] if value is None else [f"--{name.replace('_', '-')}={value}"]
@@ -166,7 +173,7 @@ def _logs(args: argparse.Namespace) -> list[Path]:
 
 def _name(args: argparse.Namespace, importing: Sequence[str]) -> str:
     """The name of the flight's folder: another for other files or settings."""
-    files = [args.input, *_logs(args)]
+    files = [args.input, *_logs(args), *([] if args.stamps is None else [args.stamps])]
     if args.input.is_dir():
         files += _files_below(args.input)
     elif not _logs(args):

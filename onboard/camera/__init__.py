@@ -5,7 +5,7 @@ Public:
 
 - `discovery`: `device_paths`, `stable_names`
 - `factory`: `open_camera`, `open_device`, `open_second_camera`, `second_section`
-- `file_stamps`: `read_stamps`, `spread_within_seconds`, `stamp_from_name`
+- `file_stamps`: `read_stamps`, `spread_within_seconds`, `stamp_from_name`, `stamps_of_frames`
 - `format_negotiation`: `sizes_text`
 - `helper_launch`: `RTSP`, `decoders_text`, `helper_launch`, `libcamera_names`, `unable`
 - `known_lenses`: `GIVEN_SIGMA`, `Lens`, `first_camera_file`, `known_lens`, `named_lens`

@@ -16,6 +16,7 @@ from contract.errors import InputError
 
 # Between 2000 and 2100: outside of it a number in a file name is a counter, and a stamp in a CSV a wrong unit.
 MIN_UNIX_S, MAX_UNIX_S = 946_684_800, 4_102_444_800
+MOST_DIGITS = 9  # of the index of a frame
 
 # 20180805_010052_380 may end in milliseconds or microseconds; a shorter tail after '_' or '-' is a burst counter.
 _TAIL = r"(?:[.,](?P<point>\d{1,9})|[-_](?P<tail>\d{3}|\d{6}|\d{9})(?!\d))?"
@@ -136,3 +137,18 @@ def read_stamps(path: Path | str, key: str) -> dict[str, int]:
     if not stamps:
         raise InputError(f"stamps {path}: no stamp below the header")
     return stamps
+
+
+def stamps_of_frames(path: Path | str, count: int, video: str) -> list[int]:
+    """Return the time (Unix ns) of each of a video's `count` frames, by a CSV with the columns index and unix_time_s.
+
+    Raises InputError, one line, as `read_stamps` does, and where a frame has none, or there is no such frame.
+    """
+    found: list[int | None] = [None] * count
+    for key, stamp in read_stamps(path, "index").items():
+        if not key.isdecimal() or len(key) > MOST_DIGITS or int(key) >= count:
+            raise InputError(f"stamps {path}: index '{key}' is not 0 to {count - 1}, the frames of {video}")
+        found[int(key)] = stamp
+    if None in found:
+        raise InputError(f"stamps {path}: no stamp for index {found.index(None)} of {count} frames")
+    return [stamp for stamp in found if stamp is not None]

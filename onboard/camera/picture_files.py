@@ -23,7 +23,13 @@ from PIL import Image
 
 from contract.camera import Camera
 from contract.errors import InputError
-from onboard.camera.file_stamps import read_stamps, spread_within_seconds, stamp_from_exif, stamp_from_name
+from onboard.camera.file_stamps import (
+    read_stamps,
+    spread_within_seconds,
+    stamp_from_exif,
+    stamp_from_name,
+    stamps_of_frames,
+)
 from onboard.camera.pixel_formats import UNDECODABLE, reduce_16_bit
 from onboard.camera.radiometric_jpeg import counts_of, radiometric
 from onboard.camera.thermal_grey import ThermalGrey, refuse_palette
@@ -291,7 +297,11 @@ class Video:
         self.notes: tuple[str, ...] = ()
         self._times_s = frame_times_s(path)  # the container's own, if it has any
         count = len(self._times_s) or count
-        found = self._from_csv(count, stamps) if stamps is not None else self._from_container(count, rate_hz, epoch_ns)
+        found = (
+            stamps_of_frames(stamps, count, self.path.name)
+            if stamps is not None
+            else self._from_container(count, rate_hz, epoch_ns)
+        )
         late_ns = round(latency_s * 1e9)
         names = [f"{path.name}#{index}" for index in range(len(found))]
         stamped = [_Stamped(stamp - late_ns, name) for stamp, name in zip(found, names, strict=True)]
@@ -312,18 +322,6 @@ class Video:
         if int(capture.get(cv2.CAP_PROP_CODEC_PIXEL_FORMAT)) == SIXTEEN_BIT_VIDEO:
             capture.set(cv2.CAP_PROP_CONVERT_RGB, 0)  # which would leave the upper eight
         return capture
-
-    def _from_csv(self, count: int, path: Path | str) -> list[int]:
-        found: list[int | None] = [None] * count
-        for key, stamp in read_stamps(path, "index").items():
-            if not key.isdecimal() or int(key) >= count:
-                raise InputError(
-                    f"stamps {path}: index '{key}' is not 0 to {count - 1}, the frames of {self.path.name}"
-                )
-            found[int(key)] = stamp
-        if None in found:
-            raise InputError(f"stamps {path}: no stamp for index {found.index(None)} of {count} frames")
-        return [stamp for stamp in found if stamp is not None]
 
     def _from_container(self, count: int, rate_hz: float, epoch_ns: int | None) -> list[int]:
         start_ns = stamp_from_name(self.path.name) if epoch_ns is None else epoch_ns

@@ -23,6 +23,7 @@ from onboard.commands.flight_folder import log_of, next_to, picture_folder
 from onboard.commands.imported_flight import (
     SIGMA_GIMBAL_DEG,
     SIGMA_MOUNT_DEG,
+    SIGMA_STAMPS_S,
     ImportedFlight,
     Optics,
     Row,
@@ -76,11 +77,7 @@ class _Times:
     stamps_ns: list[int]
     is_whole: bool  # cut to the second
     source: str
-
-    @property
-    def is_of_flight(self) -> bool:
-        """Return whether they are a flight's own, made for its log."""
-        return self.source.endswith(STAMPS)
+    is_of_flight: bool = False  # they are its own, made for its log
 
     @property
     def moments_ns(self) -> list[int]:
@@ -104,7 +101,9 @@ def run(arguments: argparse.Namespace) -> int:
     _check_one_camera(folder, photos)
     out: Path = arguments.out
     check_out(out)
-    photos, times = _in_order(photos, arguments.utc_offset, next_to(folder, STAMPS))
+    photos, times = _in_order(photos, arguments.utc_offset, arguments.stamps or next_to(folder, STAMPS))
+    if arguments.stamps is not None and not times.is_of_flight:
+        raise InputError(f"stamps {arguments.stamps}: of fewer than {MIN_PHOTOS} pictures in {folder}")
     optics = optics_of(photos[0].size_px, _focal(photos), folder, settings)
     photos, geo = _placed(photos, arguments.telemetry, next_to(folder, GEO))
     paths, log = ((), None) if geo is not None else _log(arguments, folder, photos, times)
@@ -245,7 +244,7 @@ def _stated(photos: list[PhotoMetadata], times: _Times, given: tuple[float, floa
     if given is not None:
         return Stated(-given[0], math.hypot(given[1], WHOLE_SECOND_S * times.is_whole), "--clock-offset")
     if times.is_of_flight:
-        return Stated(0.0, SIGMA_TAG_S, STAMPS)
+        return Stated(0.0, SIGMA_STAMPS_S, times.source)
     if times.source == "EXIF" and all(photo.stamp_is_utc for photo in photos):
         return Stated(0.0, SIGMA_TAG_S, "the pictures' UTC")
     apart_s = sorted(
@@ -324,7 +323,8 @@ def _by_table(photos: list[PhotoMetadata], table: Path) -> tuple[list[PhotoMetad
     found = sorted((stamps[photo.name], photo.name, photo) for photo in photos if photo.name in stamps)
     if len(found) < MIN_PHOTOS:
         return None
-    return [photo for _, _, photo in found], _Times([stamp for stamp, _, _ in found], False, str(table))
+    times = _Times([stamp for stamp, _, _ in found], False, str(table), is_of_flight=True)
+    return [photo for _, _, photo in found], times
 
 
 def _focal(photos: list[PhotoMetadata]) -> Focal | None:

@@ -12,12 +12,13 @@ from pathlib import Path
 import cv2
 
 from contract.errors import InputError
-from onboard.camera.file_stamps import stamp_from_name
+from onboard.camera.file_stamps import stamp_from_name, stamps_of_frames
 from onboard.camera.photo_metadata import Focal
 from onboard.camera.video_times import frame_times_s, rate_text
 from onboard.commands.camera_clock import against_log, clock_of, clock_row, frames
 from onboard.commands.flight_folder import log_in_folder
 from onboard.commands.imported_flight import (
+    SIGMA_STAMPS_S,
     ImportedFlight,
     check_out,
     config_text,
@@ -77,13 +78,14 @@ def run(arguments: argparse.Namespace) -> int:
     times_s = frame_times_s(video)
     if not times_s:
         raise InputError(f"{video}: no time stamps on its frames: give replay --stamps with index,unix_time_s")
-    began = _beginning(video, log, arguments)
+    stamps_ns = None if arguments.stamps is None else stamps_of_frames(arguments.stamps, len(times_s), video.name)
+    began = _beginning(video, log, arguments) if stamps_ns is None else _by_stamps(stamps_ns, arguments)
     optics = optics_of(size_px, _focal(log, paths, size_px), video.parent, settings)
     sections, mount = mount_by_log(log)
     rows = rolling_shutter(sections)
-    moments_ns = [began.unix_ns + round(time_s * 1e9) for time_s in times_s]
+    moments_ns = stamps_ns or [began.unix_ns + round(time_s * 1e9) for time_s in times_s]
     assumed = [mount, rows]
-    if log.video_epoch_ns is None:
+    if log.video_epoch_ns is None or stamps_ns is not None:
         config = parse_config(config_text(sections, settings))
         pictures = frames(video, times_s)
         is_given = arguments.start is None and arguments.clock_offset is not None
@@ -91,17 +93,17 @@ def run(arguments: argparse.Namespace) -> int:
         clock = clock_of(
             replace(log, shots_ns=()), config, optics.camera, moments_ns, SIGMA_FRAME_S, pictures, stated, START
         )
-        began = replace(began, unix_ns=began.unix_ns + round(clock.offset_s * 1e9))
+        moments_ns = [moment_ns + round(clock.offset_s * 1e9) for moment_ns in moments_ns]
         sections["camera"] |= {"sigma_latency_s": f"{clock.sigma_s:.3f}"}
         assumed.append(clock_row(clock))
-    stamps_ns = [began.unix_ns + round(time_s * 1e9) for time_s in times_s]
-    check_overlap(stamps_ns, log)
+    check_overlap(moments_ns, log)
     flight = ImportedFlight(arguments.out, video, tuple(paths), optics, ["index,unix_time_s"], sections)
-    flight.stamps += [f"{index},{stamp / 1e9:.6f}" for index, stamp in enumerate(stamps_ns)]
+    flight.stamps += [f"{index},{moment_ns / 1e9:.6f}" for index, moment_ns in enumerate(moments_ns)]
     is_thinned = (len(times_s) - 1) / max(times_s[-1], 1e-3) > 1.1 * RATE_HZ
+    source = f"the frames' own, from {_utc(moments_ns[0])}: {began.source}"
     flight.rows = [
         ("video", f"{len(times_s)} frames, {rate_text(times_s)}" + f", {RATE_HZ:g} of them taken" * is_thinned),
-        ("times", f"the frames' own, from {_utc(began.unix_ns)}: {began.source}"),
+        ("times", source if stamps_ns is None else f"{arguments.stamps}, from {_utc(moments_ns[0])}"),
         ("camera", optics.text),
         *log_rows(paths, log),
         *assumed,
@@ -148,6 +150,14 @@ def _beginning(video: Path, log: TelemetryLog, arguments: argparse.Namespace) ->
                 stated = Stated(late_s - ahead_s, math.hypot(sigma_s, cut_s), "--clock-offset")
             return _Beginning(found - offset_ns, f"{source} and its clock", stated)
     raise InputError(f"{video}: nothing states when it began: give --start, in UTC, as 2026-06-12T10:15:23.4Z")
+
+
+def _by_stamps(stamps_ns: Sequence[int], arguments: argparse.Namespace) -> _Beginning:
+    """Return the beginning by a file of every frame's time. Raises InputError where another is given, too."""
+    if arguments.start is not None:
+        raise InputError("--start and --stamps: both state when the video began; give one")
+    source = "as it states"
+    return _Beginning(stamps_ns[0], source, Stated(0.0, SIGMA_STAMPS_S, str(arguments.stamps)))
 
 
 def _focal(log: TelemetryLog, paths: Sequence[Path], size_px: tuple[int, int]) -> Focal | None:

@@ -27,6 +27,7 @@ from onboard.telemetry.telemetry_log import TelemetryLog
 # One sigma of what is not stated: where the optical axis meets a sensor (share of its width), how straight a lens for
 # mapping draws (k1 of lenses as they are sold: within some hundredths), how level a gimbal holds, how well a camera is
 # screwed below an aircraft.
+SIGMA_STAMPS_S = 0.1  # of a file of every picture's time against the log's clock, beyond which it is searched
 SIGMA_CENTRE, SIGMA_K1, SIGMA_GIMBAL_DEG, SIGMA_MOUNT_DEG = 0.01, 0.03, 1.0, 5.0
 # A camera that states nothing is given the lenses of small aircraft: 50 to 90 degrees, and their distortion.
 UNKNOWN_FOV_DEG, SIGMA_UNKNOWN_FOCAL, SIGMA_UNKNOWN_K1 = 70.0, 0.2, 0.1

@@ -122,6 +122,11 @@ def test_two_logs_reach_the_import_and_name_the_flight(tmp_path: Path, monkeypat
     for words in (["--telemetry", one, "--telemetry", other], [one, "--telemetry", other]):
         assert open_command.run(parser.parse_args(list(map(str, [video, *words])))) == 2
     assert open_command.run(parser.parse_args([str(video), str(one)])) == 2
+    stamps = tmp_path / "stamps.csv"
+    stamps.write_text("index,unix_time_s\n")
+    assert open_command.run(parser.parse_args([str(video), str(one), "--stamps", str(stamps)])) == 2
+    timed = asked.pop()
+    assert timed[timed.index("--stamps") + 1] == str(stamps) and timed[-1] != asked[-1][-1]
     two, same, single = ([c[i + 1] for i, word in enumerate(c) if word == "--telemetry"] for c in asked)
     assert two == same == [str(one), str(other)] and single == [str(one)]
     assert asked[0][-1] == asked[1][-1] != asked[2][-1]  # the folder of the flight

@@ -296,6 +296,21 @@ def test_a_flight_s_own_folder_has_its_times_and_its_configuration(
     )
 
 
+def test_times_of_photographs_from_a_file_that_is_named(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    photos, taken = tmp_path / "photos", tmp_path / "taken.csv"
+    shutil.copytree(session / "frames", photos)
+    shutil.copyfile(session / "stamps.csv", taken)
+    named = ("--telemetry", str(session / "telemetry.tlog"), "--set", f"camera.file={session / 'camera.json'}")
+    command = ["import-photos", str(photos), *named, "--stamps", str(taken), "--out", str(tmp_path / "flight")]
+    assert main(command) == 0
+    assert f"of {taken}" in capsys.readouterr().out
+    taken.write_text("file,unix_time_s\nother.png,1790000065.0\n")
+    assert main([*command[:-1], str(tmp_path / "again")]) == 2
+    assert f"stamps {taken}: of fewer than 3 pictures" in capsys.readouterr().err
+
+
 @pytest.mark.long  # short: a folder is clicked within its radius, above
 def test_a_camera_of_which_nothing_is_known_and_a_log_in_the_folder(
     session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -252,6 +252,28 @@ def test_a_gopro_s_own_track_is_its_log_and_another_s_is_named(
     assert "DJI" not in complaint
 
 
+def test_times_of_frames_from_a_file_go_before_all_others_and_one_for_each_is_needed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    video, stamps = clip(tmp_path / "20260612T101525Z.mp4", 5), tmp_path / "taken.csv"
+    times_s = [BEGAN.timestamp() + moment for moment in (7.0, 7.11, 7.19, 7.3, 7.4)]
+    stamps.write_text("index,unix_time_s\n" + "".join(f"{k},{time:.3f}\n" for k, time in enumerate(times_s)))
+    arguments = (video, "--telemetry", table(tmp_path), "--stamps", stamps)
+    assert imported(tmp_path, *arguments) == 0
+    assert f"times   {stamps}, from 2026-06-12 10:15:30.000 UTC" in capsys.readouterr().out
+    with (tmp_path / "flight" / "stamps.csv").open(newline="") as stream:
+        assert [float(row["unix_time_s"]) for row in csv.DictReader(stream)] == pytest.approx(times_s)
+    config = load_config_files(tmp_path / "flight" / "config.toml")
+    assert config.camera.sigma_latency_s == pytest.approx(0.1, abs=0.01)
+    shutil.rmtree(tmp_path / "flight")
+    assert imported(tmp_path, *arguments, "--start", "2026-06-12T10:15:23.4Z") == 2
+    assert "--start and --stamps" in capsys.readouterr().err
+    for row, why in (("", "no stamp for index 4"), (f"{'9' * 5000},{times_s[0]}\n", "is not 0 to 4")):
+        stamps.write_text("".join(stamps.read_text().splitlines(keepends=True)[:5]) + row)
+        assert imported(tmp_path, *arguments) == 2
+        assert why in capsys.readouterr().err
+
+
 def test_a_stream_s_metadata_are_its_log_and_its_field_of_view_the_lens(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
