@@ -101,9 +101,9 @@ def run(arguments: argparse.Namespace) -> int:
     _check_one_camera(folder, photos)
     out: Path = arguments.out
     check_out(out)
-    photos, times = _in_order(photos, arguments.utc_offset, arguments.stamps or next_to(folder, STAMPS))
-    if arguments.stamps is not None and not times.is_of_flight:
+    if arguments.stamps is not None and _by_table(photos, arguments.stamps) is None:
         raise InputError(f"stamps {arguments.stamps}: of fewer than {MIN_PHOTOS} pictures in {folder}")
+    photos, times = _in_order(photos, arguments.utc_offset, arguments.stamps or next_to(folder, STAMPS))
     optics = optics_of(photos[0].size_px, _focal(photos), folder, settings)
     photos, geo = _placed(photos, arguments.telemetry, next_to(folder, GEO))
     paths, log = ((), None) if geo is not None else _log(arguments, folder, photos, times)
