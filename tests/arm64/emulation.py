@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 from tests.bench.image import cache
-from tests.bench.image.host import BenchError, mirror, run
+from tests.bench.image.host import BenchError, install, mirror, run
 from tests.locked import lines
 
 QEMU = "qemu-aarch64-static"
@@ -32,15 +32,10 @@ def require() -> None:
     missing += [STRIP_PACKAGE] if not _strips_both() else []
     if not missing:
         return
-    command = f"apt-get install -y --no-install-recommends {' '.join(missing)}"
-    if shutil.which("apt-get") is None or shutil.which("dpkg-deb") is None:
-        raise BenchError(f"make test-arm64 needs a Debian or Ubuntu with {' '.join(missing)}")
     if os.geteuid() != 0:
-        raise BenchError(f"make test-arm64 emulates an arm64 processor. Once: sudo {command}   then again")
-    cache.say(f"host: {command}")
-    quiet = {**os.environ, "DEBIAN_FRONTEND": "noninteractive"}
-    run(["apt-get", "update", "-qq"], env=quiet)
-    run([*command.split(), "-qq"], env=quiet)
+        command = f"sudo apt-get install --no-install-recommends {' '.join(missing)}"
+        raise BenchError(f"make test-arm64 emulates an arm64 processor. Once: {command}   then again")
+    install(missing)
 
 
 def _strips_both() -> bool:

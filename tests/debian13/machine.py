@@ -9,7 +9,7 @@ import subprocess
 from pathlib import Path
 
 from tests.bench.image import cache
-from tests.bench.image.host import BenchError, mirror, run
+from tests.bench.image.host import BenchError, install, mirror, run
 
 SUITE, PYTHON = "trixie", "3.13"
 ARCHITECTURES = ("amd64", "arm64")
@@ -30,12 +30,10 @@ exec chroot "$1" env -i HOME=/root LANG=C.UTF-8 PATH=/usr/sbin:/usr/bin:/sbin:/b
 
 
 def require() -> None:
-    """Raise BenchError, with what to do, where a Debian 13 cannot be made here."""
+    """Install what is missing. Raises BenchError, with what to do, where a Debian 13 cannot be made here."""
     if os.geteuid() != 0:
         raise BenchError("a Debian 13 is made and entered by root: sudo make test-debian13")
-    missing = [package for program, package in NEEDED.items() if shutil.which(program) is None]
-    if missing:
-        raise BenchError(f"once: sudo apt-get install {' '.join(missing)}   then again")
+    install([package for program, package in NEEDED.items() if shutil.which(program) is None])
 
 
 def refresh() -> None:

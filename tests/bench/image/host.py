@@ -43,14 +43,19 @@ def require() -> None:
     missing = sorted({package for program, package in PACKAGE_OF.items() if shutil.which(program) is None})
     missing += ["debian-archive-keyring"] if not DEBIAN_KEYS.exists() else []
     missing += ["libc6-dev"] if not LIBC_HEADERS.exists() else []
-    if not missing:
+    install(missing)
+
+
+def install(packages: Sequence[str]) -> None:
+    """Install Debian packages, as root. Raises BenchError where there is no apt, or it fails."""
+    if not packages:
         return
     if shutil.which("apt-get") is None:
-        raise BenchError("the bench needs these Debian packages: " + " ".join(missing))
-    say("host: apt-get install " + " ".join(missing))
+        raise BenchError("these Debian packages are needed: " + " ".join(packages))
+    say("host: apt-get install " + " ".join(packages))
     quiet = {**os.environ, "DEBIAN_FRONTEND": "noninteractive"}
     run(["apt-get", "update", "-qq"], env=quiet)
-    run(["apt-get", "install", "-y", "-qq", "--no-install-recommends", *missing], env=quiet)
+    run(["apt-get", "install", "-y", "-qq", "--no-install-recommends", *packages], env=quiet)
 
 
 def run(argv: Sequence[str | Path], *, cwd: Path | None = None, env: dict[str, str] | None = None) -> str:
