@@ -2,7 +2,9 @@
 
 Metashape's manual, appendix "Camera models", frame cameras: the middle of the top-left pixel is (0.5, 0.5); cx, cy are
 offsets from the picture's middle; u = w/2 + cx + x' f + x' B1 + y' B2, v = h/2 + cy + y' f; P1 goes with r^2 + 2 x^2,
-so P1 and P2 are OpenCV's p2 and p1. PhotoScan before 1.2 wrote fx, fy and P in OpenCV's order, and is not read.
+so P1 and P2 are OpenCV's p2 and p1. An equidistant fisheye, which was called `fisheye` before 2.3, has the same
+polynomials of coordinates that are as long as the angle off the axis. PhotoScan before 1.2 wrote fx, fy and P in
+OpenCV's order, and is not read.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ import numpy as np
 
 from contract.camera import Sigma
 from contract.errors import InputError
+from contract.lens import FISHEYE, PINHOLE
 from onboard.camera_files.stated_lens import (
     MAX_PX,
     Further,
@@ -31,7 +34,8 @@ from onboard.camera_files.stated_lens import (
 
 OFFSETS = ("cx", "cy", "b1", "b2")
 COEFFICIENTS = ("k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4")
-FISHEYES = ("fisheye", "equisolid_fisheye", "equidistant_fisheye")
+FISHEYES = ("fisheye", "equidistant_fisheye")
+EQUISOLID = "equisolid_fisheye"
 HALF = 0.5
 
 
@@ -65,10 +69,11 @@ def _adjusted(sensor: ET.Element) -> ET.Element | None:
 
 def _lens(node: ET.Element, sensor: ET.Element | None, asked: Size | None) -> StatedLens:
     model = node.get("type") or (node.findtext("projection") or "").strip()
-    if model in FISHEYES:
+    if model == EQUISOLID:
         raise fisheye(model)
-    if model != "frame":
-        raise unknown_model(model, ("frame",))
+    is_fisheye = model in FISHEYES
+    if model != "frame" and not is_fisheye:
+        raise unknown_model(model, ("frame", *FISHEYES))
     if node.find("fx") is not None:
         raise InputError("has fx and fy: PhotoScan before 1.2 wrote it, with other meanings; export from a newer")
     f = focal(_text(node, "f"), "f")
@@ -80,9 +85,12 @@ def _lens(node: ET.Element, sensor: ET.Element | None, asked: Size | None) -> St
     left = [each.tag for each in (*node, *(() if sensor is None else sensor)) if each.tag not in used]
     return StatedLens(
         size, fx, f, 0.5 * size[0] + v["cx"] - HALF, 0.5 * size[1] + v["cy"] - HALF,
-        (v["k1"], v["k2"], v["p2"], v["p1"], v["k3"]),
-        Further(v["k4"], growth=(v["p3"], v["p4"]), skew_px=v["b2"]),
-        sigma, took=(*used, *(() if sigma is None else ("covariance",))),
+        tuple(v[k] for k in ("k1", "k2", *(("k3", "k4") if is_fisheye else ("p2", "p1", "k3")))),
+        Further(
+            0.0 if is_fisheye else v["k4"], growth=(v["p3"], v["p4"]), skew_px=v["b2"],
+            tangential=(v["p2"], v["p1"]) if is_fisheye else (0.0, 0.0),
+        ),
+        sigma, took=(*used, *(() if sigma is None else ("covariance",))), model=FISHEYE if is_fisheye else PINHOLE,
         left=tuple(
             tag for tag in dict.fromkeys(left)
             if tag not in {"projection", "width", "height", "calibration"} and (tag != "covariance" or sigma is None)

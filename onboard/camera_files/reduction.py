@@ -17,7 +17,7 @@ from contract.camera import (
     is_nearly_square,
 )
 from contract.errors import InputError
-from contract.lens import FISHEYE, MAX_RADIUS, MIN_RADIAL_SLOPE
+from contract.lens import FISHEYE, MAX_ANGLE, MAX_RADIUS, MIN_RADIAL_SLOPE
 from onboard.camera_files.stated_lens import Array, Further, StatedLens
 
 GRID = (33, 25)
@@ -37,8 +37,6 @@ def reduced(stated: StatedLens) -> tuple[Camera, float]:
             f'its numbers into a camera.json that declares it ("{PIXEL_ASPECT}")'
         )
     _check_centre(stated)
-    if stated.model == FISHEYE and stated.further.names():
-        raise InputError(f"a fisheye with {' and '.join(stated.further.names())} is not read")
     if not stated.further.names():
         return _camera(stated, stated.sigma), 0.0
     from onboard.calibration.verdict import RAY_SIGMA_SHARE  # noqa: PLC0415  draws with OpenCV
@@ -97,7 +95,8 @@ def _grid(lens: StatedLens) -> Array:
 
 
 def _rays(lens: StatedLens, pixels: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Pixels (N, 2) -> undistorted coordinates (N, 2) and whether they are the pixel's own. Newton, as (2.4).
+    """Pixels (N, 2) -> undistorted coordinates (N, 2), those that `StatedLens.project` takes, and whether they are the
+    pixel's own. Newton, as (2.4).
 
     Those beyond a fold are not: there the radius no longer grows as fast as our camera wants it to.
     """
@@ -117,7 +116,7 @@ def _rays(lens: StatedLens, pixels: Array) -> tuple[Array, NDArray[np.bool_]]:
                 ],
                 axis=1,
             )
-            xy = np.clip(np.nan_to_num(xy - np.clip(step, -0.3, 0.3)), -MAX_RADIUS, MAX_RADIUS)
+            xy = np.clip(np.nan_to_num(xy - np.clip(step, -0.3, 0.3)), -_end(lens), _end(lens))
         off = lens.project(xy) - pixels
         is_found = np.hypot(off[:, 0], off[:, 1]) < 1e-3
     return xy, np.asarray(is_found & (np.hypot(*xy.T) <= _fold(lens)))
@@ -127,31 +126,44 @@ def _fold(lens: StatedLens) -> float:
     """Return the radius up to which the radial part, tangential terms aside, grows."""
     plain = replace(
         lens, fx_px=1.0, fy_px=1.0, cx_px=0.0, cy_px=0.0,
-        distortion=(*lens.distortion[:2], 0.0, 0.0, lens.distortion[4]),
+        distortion=_radial(lens),
         further=Further(lens.further.eighth, lens.further.below),
     )  # fmt: skip
-    radius = np.linspace(0.0, MAX_RADIUS, 3001)
+    radius = np.linspace(0.0, _end(lens), 3001)
     with np.errstate(all="ignore"):
         there = plain.project(np.stack([radius, np.zeros_like(radius)], axis=1))[:, 0]
         slope = np.diff(there) / np.diff(radius)
     bad = np.flatnonzero(~(slope >= MIN_RADIAL_SLOPE))
-    return float(radius[bad[0]]) if bad.size else MAX_RADIUS
+    return float(radius[bad[0]]) if bad.size else _end(lens)
+
+
+def _end(lens: StatedLens) -> float:
+    """Return the radius at which rays end: an angle off the axis, rad, of a fisheye."""
+    return MAX_ANGLE if lens.model == FISHEYE else MAX_RADIUS
+
+
+def _radial(lens: StatedLens) -> tuple[float, ...]:
+    """Return the coefficients without a pinhole's tangential ones; a fisheye's have none."""
+    return lens.distortion if lens.model == FISHEYE else (*lens.distortion[:2], 0.0, 0.0, lens.distortion[4])
 
 
 def _fitted(stated: StatedLens, xy: Array, pixels: Array) -> StatedLens:
-    """Return the lens of nine numbers whose pixels of the directions xy (N, 2) are nearest to `pixels` (N, 2)."""
+    """Return the lens of ours, of nine numbers or, a fisheye, of eight, whose pixels of the directions xy (N, 2) are
+    nearest to `pixels` (N, 2).
+    """
     from scipy.optimize import least_squares  # noqa: PLC0415  slow to import
 
     focal_px = stated.fx_px
 
     def lens(values: Array) -> StatedLens:
-        fx, fy, cx, cy, *five = (float(v) for v in values)
+        fx, fy, cx, cy, *distortion = (float(v) for v in values)
         return replace(
             stated, fx_px=fx * focal_px, fy_px=fy * focal_px, cx_px=cx * focal_px, cy_px=cy * focal_px,
-            distortion=(five[0], five[1], five[2], five[3], five[4]), further=Further(),
+            distortion=tuple(distortion), further=Further(),
         )  # fmt: skip
 
-    start = np.array([1.0, stated.fy_px / focal_px, stated.cx_px / focal_px, stated.cy_px / focal_px, *[0.0] * 5])
+    none = [0.0] * len(stated.distortion)
+    start = np.array([1.0, stated.fy_px / focal_px, stated.cx_px / focal_px, stated.cy_px / focal_px, *none])
     found = least_squares(lambda values: (lens(values).project(xy) - pixels).ravel(), start, method="lm")
     return lens(found.x)
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from contract.camera import MAX_COEFFICIENT, MAX_SIZE_PX, Sigma
 from contract.errors import InputError
-from contract.lens import PINHOLE
+from contract.lens import FISHEYE, PINHOLE
 from contract.near_word import near_word
 from contract.stated_values import number, whole
 
@@ -28,7 +28,7 @@ class Further:
 
     `eighth`: the radial polynomial's r^8 (Metashape's K4). `below`: r^2, r^4 and r^6 of the polynomial that divides it,
     `prism`: s1 to s4 (OpenCV). `growth`: r^2 and r^4 of the factor of the tangential part (Metashape's P3, P4).
-    `skew_px`: how far y moves u (Metashape's B2; the matrix's upper middle).
+    `skew_px`: how far y moves u (Metashape's B2; the matrix's upper middle). `tangential`: p1 and p2 of a fisheye.
     """
 
     eighth: float = 0.0
@@ -36,6 +36,7 @@ class Further:
     prism: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     growth: tuple[float, float] = (0.0, 0.0)
     skew_px: float = 0.0
+    tangential: tuple[float, float] = (0.0, 0.0)
 
     def names(self) -> list[str]:
         """Return what is not zero, in words."""
@@ -45,6 +46,7 @@ class Further:
             "the thin prism's s1 to s4": self.prism,
             "the tangential P3 P4": self.growth,
             "the skew": (self.skew_px,),
+            "the tangential P1 P2": self.tangential,
         }
         return [name for name, values in named.items() if any(values)]
 
@@ -67,20 +69,25 @@ class StatedLens:
     sigma: Sigma | None = None
     took: tuple[str, ...] = ()
     left: tuple[str, ...] = ()
-    model: str = PINHOLE  # of a fisheye `distortion` is k1 to k4, and there are no further terms
+    model: str = PINHOLE  # of a fisheye `distortion` is k1 to k4
 
     def project(self, xy: Array) -> Array:
-        """Undistorted normalised coordinates (N, 2) -> pixels (N, 2), of a pinhole.
+        """Undistorted coordinates (N, 2) -> pixels (N, 2). Of a pinhole they are normalised, of a fisheye as far from
+        the middle as the angle off the axis, rad.
 
         OpenCV's calib3d documents polynomial, denominator and prism; Metashape's manual, appendix "Camera models", K4,
-        P3, P4 and the skew, which acts on distorted coordinates as OpenCV's matrix does.
+        P3, P4, the skew, which acts on distorted coordinates as OpenCV's matrix does, and its equidistant
+        fisheye.
         """
         x, y = xy[:, 0], xy[:, 1]
-        k1, k2, p1, p2, k3 = self.distortion
+        if self.model == FISHEYE:
+            (k1, k2, k3, eighth), (p1, p2) = self.distortion, self.further.tangential
+        else:
+            (k1, k2, p1, p2, k3), eighth = self.distortion, self.further.eighth
         k4, k5, k6 = self.further.below
         s1, s2, s3, s4 = self.further.prism
         r2 = x * x + y * y
-        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * (k3 + r2 * self.further.eighth)))
+        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * (k3 + r2 * eighth)))
         radial = radial / (1.0 + r2 * (k4 + r2 * (k5 + r2 * k6)))
         grown = 1.0 + r2 * (self.further.growth[0] + r2 * self.further.growth[1])
         x2 = x * radial + grown * (2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)) + r2 * (s1 + r2 * s2)

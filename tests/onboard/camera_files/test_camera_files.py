@@ -23,11 +23,13 @@ from tests.onboard.camera_files.writers import (
     FILES,
     FISHEYES,
     KALIBR,
+    METASHAPE_FISHEYE,
     OPENCV,
     ROS,
     H,
     W,
     Written,
+    fisheye_metashape,
 )
 
 ROOT = Path(__file__).parents[3]
@@ -99,6 +101,27 @@ def test_further_terms_are_reduced_and_the_residual_is_what_it_says(terms: list[
     k1, k2, p1, p2, k3 = terms[:5]
     cut = Camera(1280, 720, 900.0, 902.0, 650.0, 350.0, (k1, k2, p1, p2, k3))
     assert np.hypot(*(cut.project(rays)[0] - truth).T).max() > 10.0 * off_px  # had the further terms been left out
+
+
+def test_a_fisheye_s_further_terms_are_reduced_and_the_residual_is_what_it_says(tmp_path: Path) -> None:
+    p1, p2, b2 = 4e-4, -3e-4, 0.4
+    terms = f"<p1>{p1}</p1><p2>{p2}</p2><b2>{b2}</b2><date>"
+    read = read_camera_file(put(tmp_path, "calibration.xml", METASHAPE_FISHEYE.replace("<date>", terms)))
+    assert read.camera.model == "fisheye" and read.had
+    with pytest.raises(InputError, match="without the skew and the tangential P1 P2 its pixels are up to"):
+        too_much = terms.replace(str(p1), "0.01")
+        load_camera_file(put(tmp_path, "much.xml", METASHAPE_FISHEYE.replace("<date>", too_much)))
+    with pytest.raises(InputError, match="'equisolid_fisheye' is a fisheye's model that is not read"):
+        load_camera_file(put(tmp_path, "solid.xml", METASHAPE_FISHEYE.replace("equidistant", "equisolid")))
+    pixels = np.stack(np.meshgrid(np.linspace(0, W - 1, 33), np.linspace(0, H - 1, 25)), axis=-1).reshape(-1, 2)
+    rays, are_known = read.camera.unproject(pixels)
+    rays = rays[are_known]
+    u, v = fisheye_metashape(rays[:, 0] / rays[:, 2], rays[:, 1] / rays[:, 2], p1, p2, b2)
+    truth = np.column_stack([u, v]) - 0.5
+    off_px = float(np.hypot(*(read.camera.project(rays)[0] - truth).T).max())
+    assert 0.0 < read.off_px < W / 640 and off_px == pytest.approx(read.off_px, rel=0.15)
+    cut = read_camera_file(put(tmp_path, "plain.xml", METASHAPE_FISHEYE)).camera
+    assert np.hypot(*(cut.project(rays)[0] - truth).T).max() > 1.3 * off_px  # had the further terms been left out
 
 
 PROJECT = next(each for each in FILES if each.name == "cameras.xml").text

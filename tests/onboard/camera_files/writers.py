@@ -67,6 +67,17 @@ def fisheye(x: Array, y: Array) -> tuple[Array, Array]:
     return FF * x * d + CX, FFY * y * d + CY
 
 
+def fisheye_metashape(x: Array, y: Array, p1: float = 0.0, p2: float = 0.0, b2: float = 0.0) -> tuple[Array, Array]:
+    """The manual's equidistant fisheye: a frame camera's equations of coordinates as long as the angle."""
+    r0 = np.maximum(np.hypot(x, y), 1e-12)
+    x, y = x * np.arctan(r0) / r0, y * np.arctan(r0) / r0
+    r2 = x**2 + y**2
+    d = 1 + FK1 * r2 + FK2 * r2**2 + FK3 * r2**3 + FK4 * r2**4
+    a = x * d + (p1 * (r2 + 2 * x**2) + 2 * p2 * x * y)
+    b = y * d + (p2 * (r2 + 2 * y**2) + 2 * p1 * x * y)
+    return W * 0.5 + 10.75 + a * FFY + a * (FF - FFY) + b * b2, H * 0.5 - 19.0 + b * FFY
+
+
 def fisheye_opensfm(x: Array, y: Array) -> tuple[Array, Array]:
     """The same, shares of the longer side."""
     a, b = fisheye(x, y)
@@ -107,6 +118,7 @@ ROS = sample("camera.yaml")
 OPENCV = sample("out_camera_data.yml")
 KALIBR = sample("camchain.yaml")
 METASHAPE = sample("calibration.xml")
+METASHAPE_FISHEYE = sample("fisheye-calibration.xml")
 PIX4D = sample("flight.cam")
 P4D = sample("flight.p4d")
 ODM = sample("cameras.json")
@@ -118,6 +130,7 @@ FISHEYES = (
     Written("opensfm", "fisheye-cameras.json", fisheye_opensfm, 0.0, (W, H)),
     Written("opensfm", "fisheye_models.json", fisheye_two),
     Written("colmap", "fisheye.txt", fisheye, 0.5),
+    Written("metashape", "fisheye-calibration.xml", fisheye_metashape, 0.5),
 )
 FILES = (
     *FISHEYES,
