@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from contract.errors import InputError
+from contract.errors import InputError, LinkError
 from contract.fleet import NAME
 from contract.topics import LOOK
 
@@ -77,11 +77,11 @@ class Offer:
 
     @classmethod
     def of(cls, content: dict[str, Any]) -> Offer:
-        """Read an answer. Raises InputError for one that is none."""
+        """Read an answer. Raises LinkError for one that is none."""
         numbers = [content.get(key) for key in ("lat_deg", "lon_deg", "height_amsl_m", "ce90_m", "age_s")]
         ticket = content.get(TICKET)
         if not isinstance(ticket, str) or not all(_is_number(value) for value in numbers):
-            raise InputError("the aircraft's offer cannot be read")
+            raise LinkError("the aircraft's offer cannot be read")
         lat, lon, height, ce90, age = (float(value) for value in numbers if value is not None)
         return cls(ticket, lat, lon, height, ce90, age)
 

@@ -7,7 +7,7 @@ from typing import Any, Self
 
 import zenoh
 
-from contract.errors import InputError, LinkError
+from contract.errors import LinkError
 from contract.link_config import Tls
 from contract.look import ANSWERED_WITHIN_S, AskLook, ConfirmLook, EndLook, LookRequest, Offer, look_key, parameters_of
 from ground.certificate_name import common_name
@@ -43,20 +43,18 @@ class LookLink:
 
     def ask(self, request: AskLook) -> Offer:
         """The place that the aircraft would have its camera look at."""
-        try:
-            return Offer.of(self._put(request))
-        except InputError as error:
-            raise LinkError(str(error)) from error
+        return Offer.of(self.put(request))
 
     def confirm(self, offer: Offer, waited_s: float) -> dict[str, Any]:
         """Have it look there, `waited_s` after the offer came here. The autopilot has accepted it."""
-        return self._put(ConfirmLook(offer.ticket, waited_s))
+        return self.put(ConfirmLook(offer.ticket, waited_s))
 
     def end(self) -> dict[str, Any]:
         """Have it look there no longer. The autopilot has accepted it."""
-        return self._put(EndLook())
+        return self.put(EndLook())
 
-    def _put(self, request: LookRequest) -> dict[str, Any]:
+    def put(self, request: LookRequest) -> dict[str, Any]:
+        """The aircraft's answer as it came."""
         # A click and a ticket that are asked about again have the same answer: what is lost may be sent once more.
         selector = f"{self._key}?{parameters_of(request)}"
         answer = put_request(self._session, selector, timeout_s=ANSWERED_WITHIN_S)

@@ -1,6 +1,6 @@
 // Requests to the server that served the page, and its events.
 
-import type { ClickBody, CoordinateReply, FireReply, FoundSpot, FrameRow, FrameView, Handoff, News, Pin, PinReply, PlaceReply, Seen, SeenAt, SeenDetection, SeenPicture, SeenState, ServerEvent, ServerStatus, Tie } from "./types.js";
+import type { ClickBody, CoordinateReply, FireReply, FoundSpot, FrameRow, FrameView, Handoff, LookOffer, News, Pin, PinReply, PlaceReply, Seen, SeenAt, SeenDetection, SeenPicture, SeenState, ServerEvent, ServerStatus, Tie } from "./types.js";
 
 export class Refused extends Error {
   constructor(readonly status: number, message: string, readonly body: unknown) { super(message); }
@@ -49,6 +49,9 @@ export const api = {
     (await asked<Record<K, (News[K] | News[K][])[]>>(`/api/${what}`))[what].flat() as News[K][],
   follow: (body: ClickBody) => asked<{ vehicle: string; track: number; frame: number }>("/api/tracks", "POST", body),
   endTrack: (vehicle: string, track: number) => asked<unknown>(`/api/tracks/${part(vehicle)}/${track}`, "DELETE"),
+  look: (body: ClickBody) => asked<LookOffer>("/api/look", "POST", body),
+  lookConfirm: (body: { vehicle: string; ticket: string; waited_s: number }) => asked<unknown>("/api/look/confirm", "POST", body),
+  lookAhead: (vehicle: string) => asked<unknown>("/api/look/ahead", "POST", { vehicle }),
   fire: (minutes: string) => asked<FireReply>(`/api/fire?minutes=${minutes}`),
   confirmSpot: (spot: number, body: { category: string; who: string }) => asked<Pin>(`/api/spots/${spot}/confirm`, "POST", body),
   dismissSpot: (spot: number, who: string) => asked<unknown>(`/api/spots/${spot}/dismiss`, "POST", { who }),

@@ -5,6 +5,7 @@ import { showTie } from "./dialogs.js";
 import { byId, make, setText } from "./dom.js";
 import { age, degrees, heightText, methodWords, within, WITHIN_TITLE } from "./format.js";
 import type { Following } from "./following.js";
+import type { Looking } from "./looking.js";
 import type { PicturePane } from "./picture.js";
 import { kindOf } from "./shapes.js";
 import type { State } from "./state.js";
@@ -18,6 +19,7 @@ export class Clicking {
   private looked = 0;
 
   following: Following | null = null; // is offered what was clicked
+  looking: Looking | null = null; // is offered what was answered
 
   constructor(private readonly state: State) {
     state.on(["pins"], () => this.showAgain());
@@ -79,6 +81,7 @@ export class Clicking {
         state.putPin(reply.pin, reply.revision);
         this.showPin(reply.pin, reply.answer);
         this.following?.clicked(body);
+        this.looking?.clicked(body);
       } else if (reply.apart_m !== undefined && again !== undefined) {
         picture.markers.refuse(key, reply.reason ?? "");
         this.offer(reply.apart_m, body, picture, again);

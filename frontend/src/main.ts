@@ -8,6 +8,7 @@ import { Clicking } from "./clicking.js";
 import { closers, listTies, showHandoff } from "./dialogs.js";
 import { byId, make, setText } from "./dom.js";
 import { Following, TrackList } from "./following.js";
+import { Looking } from "./looking.js";
 import { FoundList } from "./found.js";
 import { clock } from "./format.js";
 import type { MapPane } from "./map.js";
@@ -30,6 +31,8 @@ const clicking = new Clicking(state);
 const picture = new PicturePane(state, viewer, new Readout(state), (body) => void clicking.clicked(body, picture));
 const following = new Following(state, (text, kind) => clicking.show(text, kind));
 clicking.following = following;
+const looking = new Looking(state, (text, kind) => clicking.show(text, kind));
+clicking.looking = looking;
 const showMessage = (text: string, kind: "ok" | "refused" | "note" = "note"): void => clicking.show(text, kind);
 
 async function refresh(): Promise<void> {
@@ -258,7 +261,7 @@ function keyed(event: KeyboardEvent): void {
 }
 
 async function begin(): Promise<void> {
-  new StatusStrip(state, viewer);
+  new StatusStrip(state, viewer, looking);
   new AgeBadge(state);
   new TimeMarks(state);
   new PinList(state, {

@@ -3,12 +3,14 @@
 import { byId, make, setText } from "./dom.js";
 import { GROUPS, groupTitle, isWanted, MANY } from "./fleet.js";
 import { age, distance, sentence, within } from "./format.js";
+import type { Looking } from "./looking.js";
 import { AIRCRAFT } from "./shapes.js";
 import type { State } from "./state.js";
 import type { VehicleState } from "./types.js";
 import type { Viewer } from "./viewer.js";
 
 const SIGNS = { well: "●", warning: "▲", lost: "✕" } as const;
+const AHEAD = ": ahead: accepted"; // as the aircraft words it
 const FEW = 4; // more have a line of their own
 
 export class StatusStrip {
@@ -19,7 +21,7 @@ export class StatusStrip {
   private readonly titles = GROUPS.map((group) => make("span", { class: "group", "data-group": group }));
   private opened: string | null = null; // the aircraft whose card is open
 
-  constructor(private readonly state: State, private readonly viewer: Viewer) {
+  constructor(private readonly state: State, private readonly viewer: Viewer, private readonly looking: Looking) {
     this.strip.append(...this.titles);
     this.find.addEventListener("input", () => this.draw());
     state.on(["vehicles", "link"], () => this.draw());
@@ -86,11 +88,13 @@ export class StatusStrip {
   private drawCard(v: VehicleState | undefined): void {
     this.card.hidden = v === undefined;
     if (v === undefined) { this.opened = null; return; }
-    const rows = this.facts(v), text = JSON.stringify([v.id, rows]);
+    const mayEnd = v.look !== "" && !v.look.endsWith(AHEAD) && this.looking.may(v.id);
+    const rows = this.facts(v), text = JSON.stringify([v.id, rows, mayEnd]);
     this.card.dataset["state"] = this.stateOf(v);
     if (this.card.dataset["shown"] === text) return;
     this.card.dataset["shown"] = text;
-    this.card.replaceChildren(make("h2", {}, v.id), make("dl", {}, ...rows.flatMap(([name, words]) => [make("dt", {}, name), make("dd", {}, words)])));
+    this.card.replaceChildren(make("h2", {}, v.id), make("dl", {}, ...rows.flatMap(([name, words]) => [make("dt", {}, name), make("dd", {}, words)])),
+      ...(mayEnd ? [make("button", { type: "button", "data-testid": "look-ahead", title: "the camera looks at that place no longer", click: () => void this.looking.ahead(v.id) }, "Look ahead")] : []));
   }
 }
 
@@ -111,6 +115,7 @@ function facts(v: VehicleState, state: string): [string, string][] {
     ["Link", v.sets_hz === null || v.is_lost ? null : `${v.sets_hz.toFixed(1)} sets/s, ${v.kbit_s ?? 0} kbit/s`],
     ["Tracking", `${v.tracks ?? v.features} features`],
     ["People", v.person_found === null ? null : `a person would be found on ${Math.floor(100 * v.person_found)} % of the ground in view`],
+    ["Camera", v.look],
     ["Computer", v.cpu_c === null ? null : `${v.cpu_c.toFixed(0)} °C`],
     ["Recording", v.recording === null ? null : v.recording ? "yes" : "no"],
   ];

@@ -60,6 +60,8 @@ export interface VehicleState {
   clock_unix_ns: string | null; place: [number, number] | null;
   recording: boolean | null; trouble: string;
   unfollowed: string; // why it follows nothing that is clicked; empty: it may be asked
+  unlooked: string; // why its camera can be sent nowhere; empty: it may be asked
+  look: string; // who had it look where last, and what the autopilot made of it
   height_above_ground_m: number | null; // of the camera at the newest picture, over the ground at its centre
   height_amsl_m: number | null;
   person_found: number | null; // on which share of the ground in view its search for heat would find a person
@@ -71,7 +73,10 @@ export interface Tiles {
   min_zoom: number; max_zoom: number; bounds: [number, number, number, number] | null;
 }
 
-export interface ServerStatus { role: "operator" | "viewer"; source: string; is_live: boolean; measures: boolean; damage: string[]; sharing: string; tiles: Tiles | null; vehicles: VehicleState[] }
+export interface ServerStatus { role: "operator" | "viewer" | "pointer"; source: string; is_live: boolean; measures: boolean; damage: string[]; sharing: string; tiles: Tiles | null; vehicles: VehicleState[] }
+
+/** The place that an aircraft would have its camera look at. */
+export interface LookOffer { vehicle: string; ticket: string; lat_deg: number; lon_deg: number; height_amsl_m: number; ce90_m: number }
 
 export interface ClickAnswer {
   status: string; advice: string; reason?: string; age_s: number | null; method?: string;

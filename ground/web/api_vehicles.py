@@ -197,6 +197,8 @@ def vehicle_json(context: ServerContext, vehicle: str) -> dict[str, Any]:
         "recording": None if status is None else status.recording,
         "trouble": report.trouble,
         "unfollowed": context.source.unfollowed(vehicle),
+        "unlooked": context.source.unlooked(vehicle),
+        "look": "" if status is None else status.look,
         "person_found": context.source.views.spots.person_found(vehicle),
         "radius": "" if status is None else in_a_line(status.fractions),
     }

@@ -81,6 +81,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         const="",
         help="another token, with which one looks and changes nothing; without one given, one is made",
     )
+    parser.add_argument(
+        "--pointer-token",
+        metavar="TOKEN",
+        nargs="?",
+        const="",
+        help="another token, with which one may also have cameras look somewhere (docs/look-there.md)",
+    )
     parser.add_argument("--name", action="append", default=[], metavar="NAME", help="a host name that browsers may use")
     parser.add_argument("--tls-certificate", type=Path, metavar="FILE.pem", help="serve https with this certificate")
     parser.add_argument("--tls-key", type=Path, metavar="FILE.pem", help="and this private key")
@@ -98,6 +105,8 @@ def run(args: argparse.Namespace) -> int:
     check_installed()
     if args.video is None and (args.video_vehicle is not None or args.video_delay is not None):
         raise WebError("--video-vehicle and --video-delay go with --video")
+    if args.pointer_token is not None and (args.recording is not None or tls_of(args) is None):
+        raise WebError("--pointer-token is for a live link with --credentials (docs/look-there.md)")
     if args.recording is not None and args.journal is not None:
         raise WebError("--journal is for a live link: a recording is one already")
     if args.video is not None and importlib.util.find_spec("cv2") is None:

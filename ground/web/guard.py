@@ -18,7 +18,8 @@ from urllib.parse import parse_qs, urlsplit
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 COOKIE = "pointclick_token"
-OPERATOR, VIEWER = "operator", "viewer"
+OPERATOR, VIEWER, POINTER = "operator", "viewer", "pointer"
+POINTING = "/api/look"  # what only a pointer may post to: it has a camera turned
 LOOKING = frozenset({"/api/click", "/api/place"})  # what a viewer may post: it is answered, and nothing is kept
 MAX_BODY_BYTES = 4_000_000
 IMPORT_PATH, MAX_IMPORT_BYTES = "/api/import", 200_000_000  # ten thousand pins with their pictures
@@ -27,7 +28,8 @@ _HOST = re.compile(r"^(\[[0-9a-fA-F:.]+\]|[A-Za-z0-9._-]+)(?::(\d{1,5}))?$")
 
 @dataclass(frozen=True)
 class Rules:
-    """`token` empty: none is asked for. `viewer_token`: with that one only looks; empty for none.
+    """`token` empty: none is asked for. `viewer_token`: with that one only looks; empty for none. `pointer_token`: with
+    that one may do what an operator may, and have cameras look somewhere; empty: no one may.
 
     `names`: host names that are allowed in addition to addresses and localhost.
 
@@ -39,6 +41,7 @@ class Rules:
     tile_origin: str = ""
     is_secure: bool = False
     viewer_token: str = ""
+    pointer_token: str = ""
 
     def content_security_policy(self) -> str:
         """Nothing from anywhere but here, and the tiles' origin."""
@@ -100,6 +103,9 @@ class Guard:
         if role == VIEWER and scope["type"] == "http" and not _only_looks(scope):
             await self._refuse(scope, receive, send, 403, "with this token one only looks: a viewer changes nothing")
             return
+        if role != POINTER and scope["type"] == "http" and scope["method"] == "POST" and _points(scope["path"]):
+            await self._refuse(scope, receive, send, 403, "with this token no camera is sent anywhere")
+            return
         scope.setdefault("state", {})["role"] = role
         await self._app(scope, receive, self._with_headers(scope, send))
 
@@ -136,7 +142,8 @@ class Guard:
         return self._role_of(cookies[COOKIE].value) if COOKIE in cookies else ""
 
     def _role_of(self, given: str) -> str:
-        for role, token in ((OPERATOR, self._rules.token), (VIEWER, self._rules.viewer_token)):
+        rules = self._rules
+        for role, token in ((OPERATOR, rules.token), (VIEWER, rules.viewer_token), (POINTER, rules.pointer_token)):
             if token and hmac.compare_digest(given.encode(), token.encode()):
                 return role
         return ""
@@ -182,6 +189,10 @@ class Guard:
 
 def _only_looks(scope: Scope) -> bool:
     return scope["method"] in ("GET", "HEAD") or (scope["method"] == "POST" and scope["path"] in LOOKING)
+
+
+def _points(path: str) -> bool:
+    return path == POINTING or path.startswith(f"{POINTING}/")
 
 
 def is_loopback(address: str) -> bool:

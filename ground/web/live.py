@@ -13,11 +13,13 @@ from bisect import bisect_left
 from collections import OrderedDict, deque
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 from contract.errors import LinkError, WireError
 from contract.feature_set import FeatureSet
 from contract.history import Entry
 from contract.link_config import Tls
+from contract.look import LookRequest
 from contract.supervised_thread import Policy, SupervisedThread
 from contract.topics import ANY_VEHICLE, PICTURE, STATUS
 from contract.track import TrackRequest
@@ -26,6 +28,7 @@ from contract.wire.message import read_set, read_status
 from ground.client import PICTURE_TIMEOUT_S, SetCache, inquire
 from ground.last_received import LastReceived
 from ground.link_pictures import PictureCache
+from ground.look_link import WITHOUT_TLS, LookLink
 from ground.mavlink_endpoint import SCHEME
 from ground.report_view import subscriptions
 from ground.track_link import TrackLink
@@ -210,6 +213,29 @@ class LiveSource:
         endpoint, _ = self._of(vehicle)
         with TrackLink(endpoint, vehicle, self._tls) as link:
             return link.ask(request)
+
+    def unlooked(self, vehicle: str) -> str:
+        """The reason from the way by which it is received, or from what it reports of itself."""
+        endpoint, cache = self._of(vehicle)
+        if cache is None:
+            return f"no vehicle {vehicle!r} is known here"
+        if endpoint.startswith(SCHEME):
+            return "no camera is turned through the autopilot's radio"
+        if self._tls is None:
+            return WITHOUT_TLS
+        with self._lock:
+            known = self._received.get(vehicle)
+        if known is not None and known.status is not None and not known.status.looks:
+            return f"no one may have the camera of {vehicle} look anywhere: its link.pointers is empty"
+        return ""
+
+    def look(self, vehicle: str, request: LookRequest) -> dict[str, Any]:
+        """Asked of the aircraft, at the endpoint where it is received best."""
+        if reason := self.unlooked(vehicle):
+            raise LinkError(reason)
+        endpoint, _ = self._of(vehicle)
+        with LookLink(endpoint, vehicle, self._tls) as link:
+            return link.put(request)
 
     def damage(self) -> list[str]:
         """Links that cannot be opened again, and how much came that was no set."""

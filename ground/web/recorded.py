@@ -6,10 +6,11 @@ import threading
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from contract.errors import InputError, LinkError
 from contract.feature_set import FeatureSet
+from contract.look import LookRequest
 from contract.recorded_pictures import PictureIndex
 from contract.track import TrackRequest
 from contract.vehicle_status import VehicleStatus
@@ -119,6 +120,14 @@ class RecordedSource:
     def follow(self, vehicle: str, request: TrackRequest) -> dict[str, object]:
         """Raises LinkError, always."""
         raise LinkError(self.unfollowed(vehicle))
+
+    def unlooked(self, vehicle: str) -> str:
+        """Nothing of a recording can be turned."""
+        return "a recording: no camera is there to be turned"
+
+    def look(self, vehicle: str, request: LookRequest) -> dict[str, Any]:
+        """Raises LinkError, always."""
+        raise LinkError(self.unlooked(vehicle))
 
     def damage(self) -> list[str]:
         """The damaged places of files, and the sets that cannot be read."""

@@ -158,7 +158,9 @@ def _listen(host: str, port: int) -> socket.socket:
 
 def _rules(args: argparse.Namespace, tokens: Tokens, tiles: Tiles | None, is_secure: bool) -> Rules:
     names = frozenset(name.lower().rstrip(".") for name in args.name)
-    return Rules(tokens.operator, names, "" if tiles is None else tiles.origin, is_secure, tokens.viewer)
+    return Rules(
+        tokens.operator, names, "" if tiles is None else tiles.origin, is_secure, tokens.viewer, tokens.pointer
+    )
 
 
 def _announce(args: argparse.Namespace, port: int, tokens: Tokens, is_secure: bool, source: Source, pins: str) -> None:
@@ -171,6 +173,8 @@ def _announce(args: argparse.Namespace, port: int, tokens: Tokens, is_secure: bo
     print(f"open {link}", flush=True)
     if tokens.viewer:
         print(f"to look and change nothing: {page}?token={quote(tokens.viewer)}")
+    if tokens.pointer:
+        print(f"to have cameras look somewhere too: {page}?token={quote(tokens.pointer)}")
     if not is_loopback(args.host):
         import segno  # noqa: PLC0415  no page waits for it
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeVar
 
 from contract.feature_set import FeatureSet, Status
+from contract.look import LookRequest
 from contract.track import TrackRequest
 from contract.vehicle_status import VehicleStatus
 from ground.report_view import ReportView
@@ -122,6 +123,14 @@ class Source(Protocol):
 
     def follow(self, vehicle: str, request: TrackRequest) -> dict[str, object]:
         """The answer of a vehicle to a question about tracks. Raises LinkError with its reason, or if it gives none."""
+
+    def unlooked(self, vehicle: str) -> str:
+        """The reason why a vehicle's camera can be sent nowhere from here; empty where it may be asked."""
+
+    def look(self, vehicle: str, request: LookRequest) -> dict[str, Any]:
+        """The answer of a vehicle to who has its camera look somewhere. Raises LinkError with its reason, or if it
+        gives none.
+        """
 
     def damage(self) -> list[str]:
         """The parts that could not be read, a line each."""

@@ -36,22 +36,26 @@ def check_installed() -> None:
 
 @dataclass(frozen=True)
 class Tokens:
-    """Tokens of operators and of viewers; empty: operators need none, or there is none with which one only looks."""
+    """Tokens of operators, of viewers and of pointers; empty: operators need none, or there is none for that role."""
 
     operator: str
     viewer: str
+    pointer: str = ""
 
 
 def tokens_of(args: argparse.Namespace) -> Tokens:
     """Raises WebError for a token that is easy to guess, or one for two roles."""
     from ground.web.guard import is_loopback  # noqa: PLC0415
 
-    is_asked = not is_loopback(args.host) or args.viewer_token is not None
+    others = args.viewer_token, args.pointer_token
+    is_asked = not is_loopback(args.host) or others != (None, None)
     asked = "" if args.token is None and is_asked else args.token
     operator, viewer = _token("--token", asked), _token("--viewer-token", args.viewer_token)
-    if operator and operator == viewer:
-        raise WebError("--token and --viewer-token must differ")
-    return Tokens(operator, viewer)
+    pointer = _token("--pointer-token", args.pointer_token)
+    given = [token for token in (operator, viewer, pointer) if token]
+    if len(set(given)) < len(given):
+        raise WebError("--token, --viewer-token and --pointer-token must differ")
+    return Tokens(operator, viewer, pointer)
 
 
 def _token(option: str, given: str | None) -> str:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Protocol
+from typing import Any, Protocol
 
 from contract.feature_set import FeatureSet
+from contract.look import LookRequest
 from contract.track import TrackRequest
 from ground.web.source import FrameRow, Picture, Source, VehicleReport
 
@@ -85,6 +86,12 @@ class WithVideo:
 
     def follow(self, vehicle: str, request: TrackRequest) -> dict[str, object]:
         return self._inner.follow(vehicle, request)
+
+    def unlooked(self, vehicle: str) -> str:
+        return self._inner.unlooked(vehicle)
+
+    def look(self, vehicle: str, request: LookRequest) -> dict[str, Any]:
+        return self._inner.look(vehicle, request)
 
     def damage(self) -> list[str]:
         """The video's state, and the other source's notes."""

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from contract.errors import InputError
+from contract.errors import InputError, LinkError
 from contract.look import AskLook, ConfirmLook, EndLook, LookRequest, Offer, look_key, parameters_of, read_request
 
 WHOLE = st.integers(0, 2**32 - 1)
@@ -86,7 +86,7 @@ def test_an_offer_comes_back_to_a_decimetre_and_what_is_none_is_refused() -> Non
     content = json.loads(offer.to_json())
     assert Offer.of(content) == offer
     for key, value in (("lat_deg", None), ("lon_deg", "8"), ("height_amsl_m", True), ("ticket", 3), ("age_s", 1e999)):
-        with pytest.raises(InputError, match="cannot be read"):
+        with pytest.raises(LinkError, match="cannot be read"):
             Offer.of(content | {key: value})
 
 

@@ -14,6 +14,7 @@ from ground.pins.store import PinStore
 from ground.web.app import create_app
 from ground.web.context import ServerContext
 from ground.web.guard import Rules
+from ground.web.source import Source
 from ground.web.startup import STATIC
 from ground.web.tiles import Tiles
 from tests.waiting import PATIENCE_S
@@ -23,14 +24,23 @@ from tests.web.rendered import FlyingSource
 class Flight:
     """Serves in a thread while it is entered."""
 
-    def __init__(self, pins: Path, tiles: Tiles | None = None, aircraft: int = 1) -> None:
+    def __init__(
+        self,
+        pins: Path,
+        tiles: Tiles | None = None,
+        aircraft: int = 1,
+        rules: Rules | None = None,
+        token: str = "",
+        source: Source | None = None,
+    ) -> None:
         self.source = FlyingSource(aircraft)
         self.store = PinStore(pins)
         self._listening = socket.create_server(("127.0.0.1", 0))
         self.port = int(self._listening.getsockname()[1])
-        self.url = self.local = f"http://127.0.0.1:{self.port}/"
-        rules = Rules(tile_origin="" if tiles is None else tiles.origin)
-        app = create_app(ServerContext(self.source, self.store, STATIC, tiles), rules)
+        self.local = f"http://127.0.0.1:{self.port}/"
+        self.url = self.local + (f"?token={token}" if token else "")
+        rules = rules or Rules(tile_origin="" if tiles is None else tiles.origin)
+        app = create_app(ServerContext(source or self.source, self.store, STATIC, tiles), rules)
         self._server = uvicorn.Server(
             uvicorn.Config(app, log_level="warning", access_log=False, timeout_graceful_shutdown=1)
         )

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 from contract.errors import LinkError
 from contract.feature_set import FeatureSet, Status
+from contract.look import AskLook, EndLook, LookRequest, Offer
 from contract.track import MOST_TRACKS, StartTrack, StopTrack, TrackRequest
 from contract.vehicle_status import VehicleStatus
 from ground.unmeasured import NOT_TRIED
@@ -80,7 +82,10 @@ class FlyingSource:
         self.views = Views()
         self.asked: list[TrackRequest] = []
         self._followed = 0
-        self.why_unfollowed = ""
+        self.why_unfollowed = self.why_unlooked = ""
+        self.looked: list[LookRequest] = []
+        self.look_refusal = ""  # of the next confirmation
+        self.look_words = ""  # what the aircraft reports of who had it look where
         self.measure: Callable[[FeatureSet, tuple[float, float]], FeatureSet] = not_measured
         self._lock = threading.Lock()
         self._first = rendered_set(0)
@@ -126,7 +131,9 @@ class FlyingSource:
     def report(self, vehicle: str) -> VehicleReport:
         """Well."""
         shares = {"mount": 60, "gps": 21}
-        status = VehicleStatus(0.0, self._first.session, "ok", tracks=120, cpu_c=61.0, shares=shares)
+        status = VehicleStatus(
+            0.0, self._first.session, "ok", tracks=120, cpu_c=61.0, shares=shares, look=self.look_words
+        )
         return VehicleReport(
             vehicle, self._first.session, self._count - 1, self.silent_s, self.silent_s, 1.0, 9000.0, status
         )
@@ -151,6 +158,22 @@ class FlyingSource:
             raise LinkError("full: eight things are followed already")
         self._followed += 1
         return {"track": self._followed, "frame": request.frame if isinstance(request, StartTrack) else None}
+
+    def unlooked(self, vehicle: str) -> str:
+        """As a test wants it."""
+        return self.why_unlooked
+
+    def look(self, vehicle: str, request: LookRequest) -> dict[str, Any]:
+        """As an aircraft that finds the place where it was asked for, 400 m above the sea."""
+        self.looked.append(request)
+        if isinstance(request, AskLook):
+            offer = Offer("0123456789abcdef", request.lat_deg, request.lon_deg, 400.0, request.radius_m, 1.0)
+            return {**vars(offer)}
+        if self.look_refusal:
+            raise LinkError(self.look_refusal)
+        where = "ahead" if isinstance(request, EndLook) else "at 47.00000 8.00000, 400 m"
+        self.look_words = f"anna: {where}: accepted"
+        return {"result": "accepted"}
 
     def damage(self) -> list[str]:
         """None."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import shutil
 import sys
+from contextlib import closing
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -12,7 +13,13 @@ from typing import Any
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
+from contract.answer import Fix
+from contract.locate import Locator
+from contract.look import AskLook, LookRequest, Offer
+from ground.web.guard import Rules
+from ground.web.recorded import RecordedSource
 from tests.web.browsing import Operator
+from tests.web.flying import Flight
 from tests.web.served import ARGUMENTS, CHROMIUM, ROOT, Server, Simulated, recorded
 
 IMAGES = ROOT / "docs" / "images"
@@ -41,6 +48,7 @@ def main() -> int:
         try:
             on_a_laptop(browser, server, simulated)
             on_a_phone(browser, server, simulated)
+            before_the_camera_turns(browser, simulated, folder)
         finally:
             browser.close()
             server.close()
@@ -74,6 +82,39 @@ def on_a_phone(browser: Any, server: Server, simulated: Simulated) -> None:
     ben.page.wait_for_timeout(2000.0)
     save(ben.page.screenshot(), "web_phone.jpg")
     ben.context.close()
+
+
+class Turning(RecordedSource):
+    """A recorded flight that answers as if its camera could be turned."""
+
+    def unlooked(self, vehicle: str) -> str:
+        return ""
+
+    def look(self, vehicle: str, request: LookRequest) -> dict[str, Any]:
+        assert isinstance(request, AskLook)
+        found = self.feature_set(vehicle, request.session, request.frame)
+        assert found is not None
+        fix = Locator(found).locate((request.u_px, request.v_px))
+        assert isinstance(fix, Fix) and fix.height_amsl_m is not None
+        return {**vars(Offer("ab", fix.lat_deg, fix.lon_deg, fix.height_amsl_m, request.radius_m, 0.4))}
+
+
+def before_the_camera_turns(browser: Any, simulated: Simulated, folder: Path) -> None:
+    """The question whether a camera is to look at a van."""
+    rules = Rules("operators-token-1234", pointer_token="pointers-token-1234")
+    source = Turning(folder / "flight.mcap")
+    with (
+        closing(source),
+        Flight(folder / "more.sqlite", rules=rules, token=rules.pointer_token, source=source) as flight,
+    ):
+        cleo = Operator(browser, flight)
+        cleo.show(simulated.newest, simulated)
+        cleo.click(*THINGS[1][:2])
+        cleo.by("look-there").click()
+        cleo.page.wait_for_selector("#look-dialog[open]")
+        cleo.page.wait_for_timeout(2000.0)
+        save(cleo.page.screenshot(), "look_there.jpg")
+        cleo.context.close()
 
 
 def save(png: bytes, name: str) -> None:

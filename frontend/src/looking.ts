@@ -1,0 +1,86 @@
+// Having an aircraft's camera look at what was clicked: its own place and height are confirmed before anything moves.
+
+import { api, Refused } from "./api.js";
+import { byId, make, setText } from "./dom.js";
+import { degrees, within } from "./format.js";
+import type { State } from "./state.js";
+import type { ClickBody, LookOffer } from "./types.js";
+
+type Show = (text: string, kind: "ok" | "refused" | "note") => void;
+
+export class Looking {
+  private readonly dialog = byId<HTMLDialogElement>("look-dialog");
+  private readonly go = byId<HTMLButtonElement>("look-go");
+  private offer: { of: LookOffer; at: number; body: ClickBody } | null = null; // and when it came, by performance.now()
+  private isAsking = false;
+
+  constructor(private readonly state: State, private readonly show: Show) {
+    this.go.addEventListener("click", () => void this.confirm());
+    this.dialog.addEventListener("close", () => {
+      const offer = this.offer;
+      if (offer === null) return;
+      this.offer = null;
+      this.show("Not confirmed: the camera was not turned.", "note");
+      this.clicked(offer.body);
+    });
+  }
+
+  /** Whether this browser may turn that aircraft's camera. */
+  may(vehicle: string): boolean {
+    return this.state.server?.role === "pointer" && this.state.vehicles.find((one) => one.id === vehicle)?.unlooked === "";
+  }
+
+  /** A click was answered with a place: the camera may be sent there. */
+  clicked(body: ClickBody): void {
+    if (!this.may(body.vehicle)) return;
+    byId("answer").append(make("button", { type: "button", class: "look-there", "data-testid": "look-there", title: `have the camera of ${body.vehicle} look there`, click: () => void this.ask(body) }, "Look there"));
+  }
+
+  /** The camera looks where it did before. */
+  async ahead(vehicle: string): Promise<void> {
+    await this.asking(`Asking ${vehicle} to look ahead ...`, null, async () => {
+      await api.lookAhead(vehicle);
+      this.show(`Accepted by the autopilot: the camera of ${vehicle} looks ahead again.`, "ok");
+    });
+  }
+
+  private async ask(body: ClickBody): Promise<void> {
+    await this.asking(`Asking ${body.vehicle} for the place ...`, body, async () => {
+      const offer = await api.look(body);
+      this.offer = { of: offer, at: performance.now(), body };
+      setText(byId("look-title"), `Have the camera of ${offer.vehicle} look there?`);
+      setText(byId("look-place"), placeOf(offer));
+      setText(byId("look-height"), `${offer.height_amsl_m.toFixed(0)} m above sea level, ${within(offer.ce90_m)}`);
+      this.dialog.showModal();
+    });
+  }
+
+  private async confirm(): Promise<void> {
+    const offer = this.offer;
+    if (offer === null) return;
+    this.offer = null;
+    this.dialog.close();
+    const { vehicle, ticket, height_amsl_m } = offer.of;
+    await this.asking("Asking the autopilot ...", offer.body, async () => {
+      await api.lookConfirm({ vehicle, ticket, waited_s: (performance.now() - offer.at) / 1000 });
+      this.show(`Accepted by the autopilot: the camera of ${vehicle} looks at ${placeOf(offer.of)}, ${height_amsl_m.toFixed(0)} m.`, "ok");
+    });
+  }
+
+  /** One question at a time; what fails may be tried again. */
+  private async asking(words: string, body: ClickBody | null, what: () => Promise<void>): Promise<void> {
+    if (this.isAsking) return;
+    this.isAsking = true;
+    this.show(words, "note");
+    try {
+      await what();
+    } catch (error) {
+      this.show(`The camera was not turned: ${error instanceof Refused ? error.message : String(error)}`, "refused");
+      if (body !== null) this.clicked(body);
+    } finally {
+      this.isAsking = false;
+    }
+  }
+}
+
+function placeOf(offer: LookOffer): string { return degrees(offer.lat_deg, offer.lon_deg, offer.ce90_m); }
