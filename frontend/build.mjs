@@ -39,7 +39,7 @@ if (process.argv.includes("--tests")) {
   writeFileSync(join(out, "index.html"), page);
   cpSync(join(here, "src/icon.svg"), join(out, "icon.svg"));
   // The licences of what is bundled travel with it.
-  const licences = ["maplibre-gl/LICENSE.txt", "pmtiles/LICENSE"].flatMap((path) => {
+  const licences = ["maplibre-gl/LICENSE.txt", "pmtiles/LICENSE", "geomagnetism/LICENSE"].flatMap((path) => {
     try { return [`${path}\n\n${readFileSync(join(here, "node_modules", path), "utf8")}`]; } catch { return []; }
   });
   writeFileSync(join(out, "licences.txt"), licences.join("\n\n"));

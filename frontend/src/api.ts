@@ -63,6 +63,7 @@ export const api = {
     asked<PinReply>("/api/pins", "POST", body),
   place: (body: ClickBody & { measured?: boolean }) => asked<PlaceReply>("/api/place", "POST", body),
   coordinate: (text: string) => asked<CoordinateReply>(`/api/coordinate?text=${part(text)}`),
+  coordinateTexts: (lat: number, lon: number, ce90: number | null) => asked<Record<string, string>>(`/api/coordinate/texts?lat=${lat}&lon=${lon}${ce90 === null ? "" : `&ce90=${ce90}`}`),
   importFile: (file: File, who: string) =>
     asked<{ imported: number; known: number; left_out: number; bad: string[] }>(`/api/import?name=${part(file.name)}&who=${part(who)}`, "POST", file),
   removeClick: (id: string, click: string, who: string) =>

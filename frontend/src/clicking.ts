@@ -2,7 +2,8 @@
 
 import { api, Refused } from "./api.js";
 import { showTie } from "./dialogs.js";
-import { byId, make, setText } from "./dom.js";
+import type { Coordinates, Where } from "./coordinate.js";
+import { byId, make } from "./dom.js";
 import { age, degrees, heightText, methodWords, within, WITHIN_TITLE } from "./format.js";
 import type { Following } from "./following.js";
 import type { Looking } from "./looking.js";
@@ -15,13 +16,13 @@ export class Clicking {
   private readonly answer = byId("answer");
   private count = 0;
   private pendingNew = 0;
-  private answered: { pin: string; click: string; ageS: number | null } | null = null; // of the answer that is shown
+  private answered: { pin: string; click: string; ageS: number | null; shown: string } | null = null; // of the answer that is shown
   private looked = 0;
 
   following: Following | null = null; // is offered what was clicked
   looking: Looking | null = null; // is offered what was answered
 
-  constructor(private readonly state: State) {
+  constructor(private readonly state: State, private readonly coordinates: Coordinates) {
     state.on(["pins"], () => this.showAgain());
   }
 
@@ -62,7 +63,8 @@ export class Clicking {
   private showPlace(reply: PlaceReply): void {
     if (reply.status !== "ok") { this.show(`Refused: ${reply.reason ?? reply.status}`, "refused"); return; }
     const [words, meaning] = methodWords(reply);
-    this.show(`${degrees(reply.lat_deg, reply.lon_deg, reply.ce90_m)}  ${within(reply.ce90_m)}  ${heightText(reply)}  ${words}`, "ok");
+    this.show("", "ok");
+    this.answer.append(this.words(reply, `${heightText(reply)}  ${words}`));
     this.answer.title = `${WITHIN_TITLE}; ${meaning}`;
   }
 
@@ -103,21 +105,32 @@ export class Clicking {
   }
 
   private showPin(pin: Pin, reply: ClickAnswer | null): void {
-    this.answer.replaceChildren(make("span", {}));
+    this.answer.replaceChildren(make("div", { class: "answer-words" }));
     this.answer.dataset["kind"] = "ok";
-    this.answered = { pin: pin.id, click: pin.clicks.at(-1)?.id ?? "", ageS: reply?.age_s ?? null };
+    this.answered = { pin: pin.id, click: pin.clicks.at(-1)?.id ?? "", ageS: reply?.age_s ?? null, shown: "" };
     this.showAgain();
   }
 
   /** The same answer by what is known of its pin now: the aircraft may have measured the click since. */
   private showAgain(): void {
     const answered = this.answered, pin = answered === null ? undefined : this.state.pins.get(answered.pin);
-    const click = pin?.clicks.find((one) => one.id === answered?.click), line = this.answer.querySelector("span");
+    const click = pin?.clicks.find((one) => one.id === answered?.click), line = this.answer.querySelector(".answer-words");
     if (answered === null || pin === undefined || click === undefined || line === null) return;
     const isOpen = this.state.server?.measures === true && click.method !== "measured" && click.unmeasured === "";
     const [words, meaning] = methodWords(click);
-    setText(line, answerText(pin, `${words}${isOpen ? ", being measured ..." : ""}`, answered.ageS));
+    const how = `${words}${isOpen ? ", being measured ..." : ""}, picture ${answered.ageS === null ? "of unknown age" : `${age(answered.ageS)} old`}`;
+    const name = `${kindOf(pin.category).title} ${pin.number}`, place = pin.place;
+    if (place.status !== "ok") { line.textContent = `${name}: ${place.reason}`; return; }
+    const key = JSON.stringify([place, how]);
+    if (answered.shown === key) return;
+    answered.shown = key;
+    line.replaceWith(this.words(place, `${name}: ${heightText(place)}  ${how}`));
     this.answer.title = `${WITHIN_TITLE}; ${meaning}`;
+  }
+
+  /** The coordinate and its radius large, the rest below. */
+  private words(where: Where, rest: string): HTMLElement {
+    return make("div", { class: "answer-words" }, make("div", { class: "answer-place" }, this.coordinates.element(where), make("span", { class: "sure" }, `  ${within(where.ce90_m)}`)), make("div", { class: "rest" }, rest));
   }
 
   /** A click that contradicts its pin was not added: the pin is where it was, and the operator decides on the click. */
@@ -129,11 +142,4 @@ export class Clicking {
       button("Add it anyway", () => void this.make(body, picture, again, true)),
       button("Remove last click", () => { picture.markers.clearRefusals(); this.show(`pin ${again.number} is as it was`); }));
   }
-}
-
-function answerText(pin: Pin, how: string, ageS: number | null): string {
-  const place = pin.place, name = `${kindOf(pin.category).title} ${pin.number}`;
-  if (place.status !== "ok") return `${name}: ${place.reason}`;
-  return `${name}: ${degrees(place.lat_deg, place.lon_deg, place.ce90_m)}  ${within(place.ce90_m)}  ${heightText(place)}  ${how}, ` +
-    `picture ${ageS === null ? "of unknown age" : `${age(ageS)} old`}`;
 }

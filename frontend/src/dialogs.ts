@@ -1,6 +1,7 @@
 // The hand-off card, the tie and the help.
 
 import { api, Refused } from "./api.js";
+import { copied } from "./copying.js";
 import { byId, make } from "./dom.js";
 import { CoordinateField } from "./adding.js";
 import { degrees, moment, within } from "./format.js";
@@ -8,21 +9,6 @@ import type { MapPane } from "./map.js";
 import { kindOf, shapeSvg } from "./shapes.js";
 import type { State } from "./state.js";
 import type { ClickBody, Pin, Tie } from "./types.js";
-
-async function copied(text: string, button: HTMLButtonElement): Promise<void> {
-  try {
-    await navigator.clipboard.writeText(text);
-  } catch {
-    // Without https a browser has no clipboard to write to: the old way.
-    const area = make("textarea", { class: "offscreen" }, text);
-    (button.closest("dialog") ?? document.body).append(area);
-    area.select();
-    document.execCommand("copy");
-    area.remove();
-  }
-  button.textContent = "Copied";
-  setTimeout(() => { button.textContent = "Copy"; }, 1500);
-}
 
 export async function showHandoff(pin: Pin, state: State, map: MapPane | null): Promise<void> {
   const dialog = byId<HTMLDialogElement>("handoff-dialog"), body = byId("handoff-body");

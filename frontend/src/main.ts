@@ -5,6 +5,7 @@ import { api, listen } from "./api.js";
 import { wireAdding } from "./adding.js";
 import { AgeBadge } from "./badge.js";
 import { Clicking } from "./clicking.js";
+import { Coordinates } from "./coordinate.js";
 import { closers, listTies, showHandoff } from "./dialogs.js";
 import { byId, make, setText } from "./dom.js";
 import { Following, TrackList } from "./following.js";
@@ -27,7 +28,8 @@ const state = new State();
 const viewer = new Viewer(state);
 let mapPane: MapPane | null = null;
 
-const clicking = new Clicking(state);
+const coordinates = new Coordinates(state);
+const clicking = new Clicking(state, coordinates);
 const picture = new PicturePane(state, viewer, new Readout(state), (body) => void clicking.clicked(body, picture));
 const following = new Following(state, (text, kind) => clicking.show(text, kind));
 clicking.following = following;
@@ -264,7 +266,7 @@ async function begin(): Promise<void> {
   new StatusStrip(state, viewer, looking);
   new AgeBadge(state);
   new TimeMarks(state);
-  new PinList(state, {
+  new PinList(state, coordinates, {
     handoff: handOff,
     open: (vehicle, frame, u, v) => { viewer.open(vehicle, frame); picture.reveal({ u, v }); },
     remove: (pin) => run(api.deletePin(pin.id, state.options.who).then(() => showMessage(`pin ${pin.number} deleted; Undo brings it back`))),

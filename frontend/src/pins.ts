@@ -2,10 +2,14 @@
 // cost no more than those in view, and nothing moves by itself when one is added.
 
 import { api } from "./api.js";
+import type { Coordinates } from "./coordinate.js";
+import { copied } from "./copying.js";
 import { byId, make, setText } from "./dom.js";
 import { degrees, distance, heightText, methodWords, moment, radius, sentence, within, WITHIN_TITLE } from "./format.js";
+import { FromMe } from "./from-me.js";
 import { Menu } from "./menu.js";
 import { KINDS, kindOf, shapeSvg } from "./shapes.js";
+import { share } from "./sharing.js";
 import type { State } from "./state.js";
 import type { Category, Pin } from "./types.js";
 
@@ -36,7 +40,9 @@ export class PinList {
   private cardOf = "";
   private structureOf = ""; // of the card: what else than a place and its accuracy it shows
 
-  constructor(private readonly state: State, private readonly actions: PinActions) {
+  private readonly fromMe = new FromMe();
+
+  constructor(private readonly state: State, private readonly coordinates: Coordinates, private readonly actions: PinActions) {
     this.list.addEventListener("scroll", () => { this.top = this.list.scrollTop; this.draw(); }, { passive: true });
     this.filter.addEventListener("input", () => this.refresh());
     new ResizeObserver(() => { this.height = this.list.clientHeight; this.draw(); }).observe(this.list);
@@ -147,6 +153,7 @@ export class PinList {
   private showCard(): void {
     const pin = this.state.selected === null ? undefined : this.state.pins.get(this.state.selected);
     this.card.hidden = pin === undefined;
+    if (pin === undefined || !this.cardOf.startsWith(pin.id)) this.fromMe.stop();
     if (pin === undefined) { this.cardOf = this.structureOf = ""; this.card.replaceChildren(); return; }
     const version = `${pin.id} ${pin.modified_utc} ${JSON.stringify(pin.place)}`;
     if (version === this.cardOf) return;
@@ -168,8 +175,8 @@ export class PinList {
   }
 
   private facts(pin: Pin): HTMLElement {
-    const parts = pin.place.status === "ok" ? [make("div", { title: WITHIN_TITLE }, factText(pin)), howFound(pin), ...this.smaller(pin)] : [];
-    return make("div", { class: "facts" }, make("div", { class: "place" }, placeText(pin)), ...parts, make("div", { class: "by" }, byText(pin)));
+    const parts = pin.place.status === "ok" ? [make("div", { class: "sure-line" }, make("span", { title: WITHIN_TITLE }, factText(pin)), this.coordinates.choice()), howFound(pin), ...this.smaller(pin)] : [];
+    return make("div", { class: "facts" }, make("div", { class: "place" }, pin.place.status === "ok" ? this.coordinates.element(pin.place) : placeText(pin)), ...parts, make("div", { class: "by" }, byText(pin)));
   }
 
   private content(pin: Pin): Node[] {
@@ -185,6 +192,8 @@ export class PinList {
     const button = (label: string, title: string, run: () => void, id?: string): HTMLButtonElement =>
       make("button", { type: "button", title, click: run, ...(id === undefined ? {} : { "data-testid": id }) }, label);
     const seen = make("div", { class: "seen" });
+    const written = (): string => this.card.querySelector(".coordinate")?.textContent ?? placeText(pin);
+    const copy = button("Copy", "the coordinate, as it is written here", () => void copied(written(), copy), "copy");
     const close = button("×", "close this card", () => this.state.select(null));
     close.setAttribute("aria-label", "close this card");
     const head = make("div", { class: "card-head" }, make("strong", {}, `Pin ${pin.number}`), name, category, close);
@@ -193,6 +202,9 @@ export class PinList {
     const remove = button("Delete", "delete; Undo brings it back", () => this.actions.remove(pin));
     // A pin without a place cannot be passed on, and no distance to it can be measured.
     const actions = make("div", { class: "buttons" }, ...(pin.place.status === "ok" ? [
+      copy,
+      button("Share", "by the phone's own sheet, or a geo: link and a QR code", () => void share(pin, written(), seen).catch((error: unknown) => { seen.textContent = String(error); }), "share"),
+      button("From me", "distance and bearing from this device, true and magnetic", () => { if (pin.place.status === "ok") this.fromMe.toggle(pin.place, seen); }, "from-me-button"),
       button("Hand off", "coordinate in every format, QR code, print (H)", () => this.actions.handoff(pin), "handoff"),
       again,
       button("Seen in", "the pictures that show it", () => void this.listSeen(pin, seen)),
@@ -218,6 +230,7 @@ export class PinList {
   }
 
   private async listSeen(pin: Pin, into: HTMLElement): Promise<void> {
+    this.fromMe.stop();
     into.textContent = "looking through the pictures ...";
     into.scrollIntoView({ block: "nearest" });
     const seen = await api.seen(pin.id);
@@ -232,6 +245,7 @@ export class PinList {
   }
 
   private listMeasure(pin: Pin, into: HTMLElement): void {
+    this.fromMe.stop();
     const others = [...this.state.pins.values()].filter((other) => other.id !== pin.id).sort((a, b) => a.number - b.number);
     if (others.length === 0) { into.textContent = "there is no other pin"; return; }
     const choice = make("select", { "aria-label": "measure to" }, make("option", { value: "" }, "to which pin?"),

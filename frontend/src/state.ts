@@ -15,14 +15,17 @@ export type Peek = "features" | "paths";
 export type Large = "picture" | "both" | "map";
 export const LARGE: readonly Large[] = ["picture", "both", "map"];
 
+/** How coordinates are written. */
+export type Form = "degrees" | "minutes" | "seconds" | "mgrs" | "utm";
+
 export interface Options {
   isMuted: boolean; pictures: boolean; theme: "auto" | "day" | "night"; who: string; category: Category;
-  view: Large;
+  view: Large; form: Form;
 }
 
 const STORED = "pointclick.options";
 const PEEK_MS = 6000;
-const DEFAULTS: Options = { isMuted: false, pictures: true, theme: "auto", who: "", category: "poi", view: "picture" };
+const DEFAULTS: Options = { isMuted: false, pictures: true, theme: "auto", who: "", category: "poi", view: "picture", form: "degrees" };
 
 export class State {
   server: ServerStatus | null = null;

@@ -5,6 +5,7 @@ import { readFileSync } from "node:fs";
 import { test } from "node:test";
 import { contains, fitted, panned, resized, toPane, toPixel, wholeView, zoomed, MAX_ZOOM, type View } from "../src/mapping.js";
 import { ellipseRing, enu, offset, pixelOf, placeIn, type Camera } from "../src/projection.js";
+import { course, declination } from "../src/from-me.js";
 import { affine, layout } from "../src/ground-picture.js";
 import { groupTitle, isWanted } from "../src/fleet.js";
 import { gridLines, gridStep } from "../src/grid.js";
@@ -321,4 +322,15 @@ test("on the map a moving thing has an arrow and a wedge, one at rest neither, a
   assert.deepEqual(kinds(later(20, 0, rest)), { ellipse: 1, edge: 1 });
   assert.deepEqual(kinds(later(10, 0), later(20, 10, { state: "lost", unseen: "hidden" })), { band: 1, ellipse: 1, path: 1, edge: 1 });
   assert.deepEqual(kinds(later(20, 0, { place: null })), {});
+});
+
+test("a bearing is from true north, and the compass differs by what the World Magnetic Model states, or is not known", async () => {
+  const here = { lat_deg: 47, lon_deg: 8, height_m: 0 };
+  const [lon, lat] = offset(47, 8, -3000, 4000), found = course(here, lat, lon);
+  near(found.metres, 5000, 3);
+  near((found.bearing + 360) % 360, 323.13, 0.05);
+  // Test values of the model's own report, at sea level in 2025.0 and 2027.5.
+  near((await declination({ lat_deg: 80, lon_deg: 0, height_m: 0 }, new Date("2025-01-01")))!, 1.28, 0.05);
+  near((await declination({ lat_deg: -80, lon_deg: 240, height_m: 0 }, new Date("2027-07-02")))!, 68.49, 0.05);
+  assert.equal(await declination(here, new Date("2031-01-01")), null);
 });

@@ -78,7 +78,7 @@ class Guard:
             (b"referrer-policy", b"no-referrer"),
             (b"cross-origin-opener-policy", b"same-origin"),
             (b"cross-origin-resource-policy", b"same-origin"),
-            (b"permissions-policy", b"camera=(), microphone=(), geolocation=()"),
+            (b"permissions-policy", b"camera=(), microphone=(), geolocation=(self)"),
         ]
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:

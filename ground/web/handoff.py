@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import math
 import time
@@ -57,6 +58,19 @@ def handoff(
     if first:
         texts.append(_bearing(context, context.pin(first), pin))
     return {"texts": texts, "readback": readback(mark), "geo": geo_uri(mark)}
+
+
+@router.get("/coordinate/texts", summary="A place in every system, as precise as its 90 % radius")
+def coordinate_texts(
+    lat: Annotated[float, Query(ge=-90.0, le=90.0, allow_inf_nan=False)],
+    lon: Annotated[float, Query(ge=-180.0, le=180.0, allow_inf_nan=False)],
+    ce90: Annotated[float | None, Query(gt=0.0, allow_inf_nan=False)] = None,
+) -> dict[str, str]:
+    texts = {}
+    for form in _FORMS:
+        with contextlib.suppress(InputError):  # no such square at a pole: the others still hold
+            texts[form] = rounded_text(form, lat, lon, ce90)
+    return texts
 
 
 @router.get("/pins/{pin_id}/qr.svg", summary="The position as a geo: code", response_class=Response)

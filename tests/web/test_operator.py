@@ -274,7 +274,7 @@ def test_three_pins_stay_next_to_the_card_and_all_its_buttons_are_in_view(anna: 
     ]
     assert len(whole) >= 3
     card = anna.page.locator("#pin-card").bounding_box()
-    for name in ("Hand off", "Click again", "Seen in", "Measure", "Delete"):
+    for name in ("Copy", "Share", "From me", "Hand off", "Click again", "Seen in", "Measure", "Delete"):
         box = anna.page.locator("#pin-card").get_by_role("button", name=name).bounding_box()
         assert box["y"] + box["height"] <= card["y"] + card["height"] + 1.0
     for name, shown in (("Seen in", "#pin-card .seen .frame"), ("Measure", "#pin-card .seen select")):
