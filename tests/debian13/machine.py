@@ -8,6 +8,7 @@ import shutil
 import subprocess
 from pathlib import Path
 
+from tests.arm64 import emulation
 from tests.bench.image import cache
 from tests.bench.image.host import BenchError, install, mirror, run
 
@@ -34,6 +35,7 @@ def require() -> None:
     if os.geteuid() != 0:
         raise BenchError("a Debian 13 is made and entered by root: sudo make test-debian13")
     install([package for program, package in NEEDED.items() if shutil.which(program) is None])
+    emulation.require()  # of the arm64 package
 
 
 def refresh() -> None:
