@@ -265,9 +265,11 @@ def distances_outside(hull: Array, xy: Array) -> Array:
     """Distances (M,) from points (M, 2) to a convex polygon, 0 inside; infinite for a hull without area."""
     if len(hull) < 3:
         return np.full(len(xy), np.inf)
-    edges = np.roll(hull, -1, axis=0) - hull
+    edges = np.concatenate([hull[1:], hull[:1]]) - hull
     to_point = xy[:, None] - hull
     is_in = np.all(edges[:, 0] * to_point[..., 1] - edges[:, 1] * to_point[..., 0] >= -1e-12, axis=1)
+    if is_in.all():  # as most clicks are
+        return np.zeros(len(xy))
     along = np.clip((edges * to_point).sum(axis=-1) / (edges**2).sum(axis=1), 0.0, 1.0)
     distance = np.linalg.norm(to_point - along[..., None] * edges, axis=-1).min(axis=1)
     return np.where(is_in, 0.0, distance)

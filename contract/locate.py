@@ -172,6 +172,14 @@ class Locator:
         click = self._click(np.asarray(uv_px, float))
         return click if isinstance(click, Status) else np.asarray(click.offset_enu_m[0], np.float64)
 
+    def offsets(self, uv_px: ArrayLike) -> list[Array | Status]:
+        """The `offset` of each of several pixels (M, 2), found at once; the first is kept as the newest click."""
+        uv = np.asarray(uv_px, float)
+        found = self._found(uv)
+        self._newest = (float(uv[0, 0]), float(uv[0, 1])), _Clicks(*(part[:1] for part in vars(found).values()))
+        ways = zip(found.status, found.offset_enu_m, strict=True)
+        return [np.asarray(way, np.float64) if status == OK else STATUSES[status] for status, way in ways]
+
     def difference_covariance(
         self, uv1_px: ArrayLike, uv2_px: ArrayLike, *, second: Locator | None = None
     ) -> Array | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -63,10 +64,13 @@ def cut(seen: Seen, centre: Array, half: int) -> Patch:
 def earlier(pictures: Pictures, seen: Seen) -> list[Seen]:
     """Kept pictures about AGES_S before one, newest first."""
     before = [other for other in pictures if other.stamp_ns < seen.stamp_ns and other.to_newest is not None]
+    stamps = [other.stamp_ns for other in before]  # in capture order
     out: list[Seen] = []
     for age_s in AGES_S:
         wanted = seen.stamp_ns - round(age_s * 1e9)
-        best = min(before, key=lambda other: abs(other.stamp_ns - wanted), default=None)
+        after = bisect_left(stamps, wanted)
+        nearest = before[max(after - 1, 0) : after + 1]
+        best = min(nearest, key=lambda other: abs(other.stamp_ns - wanted), default=None)
         if best is None or abs(best.stamp_ns - wanted) > 0.3e9:
             continue
         if not any(abs(best.stamp_ns - other.stamp_ns) < SAME_S * 1e9 for other in out):

@@ -93,7 +93,8 @@ class Track:
         """A picture's place and way, (24.10) and (24.11)."""
         if locator is None:
             return
-        offset = locator.offset(observed.uv_px)
+        landmark = [] if self._landmark is None else [self._landmark]
+        offset, *marked = locator.offsets([observed.uv_px, *landmark])
         if isinstance(offset, Status):
             self._status = offset
             return
@@ -115,7 +116,7 @@ class Track:
         dt = (now - self._filtered_ns) * 1e-9
         self._filter.predict(dt, float(np.sqrt(abs(np.linalg.det(by_pixel)))))
         self._filtered_ns = now
-        ground = Status.OUTSIDE if self._landmark is None else locator.offset(self._landmark)
+        ground = marked[0] if marked else Status.OUTSIDE
         if isinstance(ground, Status) or self._landmark is None:
             self._filter.forget_place(slant, noise)
             self._choose_landmark(observed, None)
