@@ -36,7 +36,14 @@ from onboard.telemetry.srt_axis_order import (
     UnlabelledPlace,
     axis_order,
 )
-from onboard.telemetry.telemetry_log import TelemetryLog, attitudes, gimbal_attitudes, vouched, with_news
+from onboard.telemetry.telemetry_log import (
+    EMPTY_EPOCH_NS,
+    TelemetryLog,
+    attitudes,
+    gimbal_attitudes,
+    vouched,
+    with_news,
+)
 
 _NUMBER = r"([+-]?\d{1,9}(?!\d)(?:\.\d+)?)"
 _INTERVAL = re.compile(r"(?<!\d)(\d+):(\d\d):(\d\d)[,.](\d{1,3})\s*-->\s*\d+:\d\d:\d\d[,.]\d{1,3}")
@@ -60,7 +67,6 @@ _TAG = re.compile(r"<[^>]*>|\{[^}]*\}|\\[Nnh]")
 _DIALOGUE = re.compile(
     r"^Dialogue:[^,\n]*,\s*(\d+):(\d\d):(\d\d)\.(\d{1,3}),(?:[^,\n]*,){7}(.*)$", re.MULTILINE
 )  # ten fields, the last of which is the text
-EMPTY_EPOCH_NS = 946_684_800_000_000_000  # of a log without any date: 2000-01-01
 EIS_OFF = {"close", "closed", "off", "none", "0"}
 MAX_HEIGHT_M = 1e5
 SIYI = "stream->FrameCnt"

@@ -20,6 +20,8 @@ NS_PER_S = 1_000_000_000
 # Reports on positions that stand in a file come this often: enough for `gps.quality_timeout_s` at its least.
 REPORT_NS = 400_000_000
 STANDING_NS = 1_000_000_000  # a position that stands still is taken again this often
+EMPTY_EPOCH_NS = 946_684_800_000_000_000  # of a log without any date: 2000-01-01
+SIGMA_CREATED_S = 1.0  # of a file's creation time, whole seconds of its camera's clock
 MAX_GAP_S = 10.0  # positions farther apart are joined by no configuration
 
 
@@ -83,6 +85,13 @@ class TelemetryLog:
         """Capture times of the first and the last position."""
         stamps = [event.stamp_ns for event in self.events if isinstance(event, PositionFix)]
         return min(stamps), max(stamps)
+
+
+def epoch_of(created_ns: int | None) -> tuple[int, float | None]:
+    """Return when a video's own time begins (Unix ns) and its sigma against UTC (s, None: of no date), by when its file
+    states that it was created.
+    """
+    return (EMPTY_EPOCH_NS, None) if created_ns is None else (created_ns, SIGMA_CREATED_S)
 
 
 def vouched(positions: list[PositionFix], claims: list[GpsQuality]) -> list[NavEvent]:

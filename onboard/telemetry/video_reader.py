@@ -9,36 +9,41 @@ from dataclasses import replace
 from pathlib import Path
 
 from contract.errors import InputError
-from onboard.telemetry import gpmf, parrot, picture_telemetry
+from onboard.telemetry import exiftool_reader, gpmf, parrot, picture_telemetry
 from onboard.telemetry.field_of_view import focal_lengths
 from onboard.telemetry.mp4_container import Track, creation_ns, tracks_of
 from onboard.telemetry.read_options import ReadOptions
 from onboard.telemetry.row_events import SIGMA_GEOID_M, log_of_rows, with_heights
-from onboard.telemetry.srt_reader import EMPTY_EPOCH_NS, log_of_subtitles
-from onboard.telemetry.telemetry_log import NS_PER_S, TelemetryLog
+from onboard.telemetry.srt_reader import log_of_subtitles
+from onboard.telemetry.telemetry_log import NS_PER_S, TelemetryLog, epoch_of
 
 SUBTITLES = ("tx3g", "text")
 # Of when a video began, by the times of the receiver in it: they come late, by how much is not known.
 SIGMA_BEGAN_S = 0.5
-SIGMA_CREATED_S = 1.0  # of a file's creation time, whole seconds of the aircraft's clock
-GPX = "make a GPX of it (exiftool -ee -p gpx.fmt) and give that"
-# Kinds of tracks that are not read: by four characters and, of a general kind, what describes it; what to do.
+# Kinds of tracks that only exiftool reads: by four characters and, of a general kind, what describes it.
 OTHERS = (
-    ("mett", b"parrot", f"a Parrot's telemetry, of another version than 3: {GPX}"),
-    ("djmd", b"", "DJI's own data (djmd): give the .SRT of the video, or AirData's table of the flight"),
-    ("camm", b"", f"Google's camera motion (camm): {GPX}"),
-    ("rtmd", b"", f"Sony's metadata (rtmd): {GPX}"),
+    ("mett", b"parrot", "a Parrot's telemetry, of another version than 3"),
+    ("djmd", b"", "DJI's own data (djmd): the .SRT of the video, or AirData's table of the flight, has more"),
+    ("camm", b"", "Google's camera motion (camm)"),
+    ("rtmd", b"", "Sony's metadata (rtmd)"),
 )
 
 
 def has_telemetry(path: Path) -> bool:
     """Return whether there is anything in a video that `read_video` reads."""
     is_in_track = any(track.kind in (gpmf.KIND, *SUBTITLES) or parrot.is_read(track) for track in tracks_of(path))
-    return is_in_track or picture_telemetry.is_in(path)
+    return is_in_track or picture_telemetry.is_in(path) or (exiftool_reader.is_there() and bool(_other(path)))
 
 
 def other_telemetry(path: Path) -> str:
     """Return what telemetry is in a video that is not read, and what to do; empty where there is none that is known."""
+    what = _other(path)
+    if not what or exiftool_reader.is_there():
+        return what
+    return f"{what}; exiftool reads some of it: install {exiftool_reader.PACKAGE}"
+
+
+def _other(path: Path) -> str:
     for track in tracks_of(path):
         for kind, described, what in OTHERS:
             if track.kind == kind and described in track.description.lower():
@@ -62,7 +67,14 @@ def read_video(path: Path, options: ReadOptions) -> TelemetryLog:
     if picture_telemetry.is_in(path):
         return picture_telemetry.read(path)
     what = other_telemetry(path)
-    raise InputError(f"in it is {what}" if what else "no telemetry that is known is in it: give the flight's log")
+    if not what:
+        raise InputError("no telemetry that is known is in it: give the flight's log")
+    if not exiftool_reader.is_there():
+        raise InputError(f"in it is {what}")
+    try:
+        return exiftool_reader.read(path)
+    except InputError as error:
+        raise InputError(f"in it is {what}: {error}") from error
 
 
 def _texts(track: Track) -> list[tuple[int, str]]:
@@ -91,11 +103,10 @@ def _gopro(track: Track, options: ReadOptions) -> TelemetryLog:
 
 def _parrot(track: Track, created_ns: int | None) -> TelemetryLog:
     """The log of a track whose samples have the pictures' own times; `created_ns`: when the video began, to 1 s."""
-    began_ns = EMPTY_EPOCH_NS if created_ns is None else created_ns
+    began_ns, utc_sigma_s = epoch_of(created_ns)
     flight = parrot.flight_of(track, began_ns)
     if not flight.rows or flight.without == len(flight.rows):
         raise InputError(f"none of the {len(track.samples)} samples of its Parrot track has a position: no fix")
     notes = [f"{flight.without} of {len(flight.rows)} samples have no position"] if flight.without else []
-    sigma_s = None if created_ns is None else SIGMA_CREATED_S
-    log = log_of_rows(flight.rows, notes, sigma_s, is_repeated=True)
+    log = log_of_rows(flight.rows, notes, utc_sigma_s, is_repeated=True)
     return replace(log, video_epoch_ns=began_ns, focal_mm=focal_lengths(flight.widths_deg))

@@ -17,6 +17,7 @@ from onboard.camera.video_times import frame_times_s, rate_text
 from onboard.commands.imported_flight import UNKNOWN, optics_of
 from onboard.config.files import load_config_files
 from onboard.events.types import Attitude, PositionFix
+from onboard.telemetry import exiftool_reader
 from onboard.telemetry.log_files import read_log
 from onboard.telemetry.mp4_container import creation_ns
 from simulation.flight import RecordedSpec, find_recording
@@ -235,8 +236,9 @@ def test_two_logs_of_the_flight_are_one(tmp_path: Path, capsys: pytest.CaptureFi
 
 
 def test_a_gopro_s_own_track_is_its_log_and_another_s_is_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(exiftool_reader, "PROGRAM", "no-exiftool-here")
     video = clip(tmp_path / "GX010042.MP4")
     with_track(video, b"gpmd", *gopro_seconds())
     assert imported(tmp_path, video) == 0

@@ -1,15 +1,21 @@
 """Telemetry in a video's own tracks; that of a whole flight is in `test_log_files`."""
 
 import math
+import os
+import shutil
 import struct
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from contract.errors import InputError
 from onboard.events.types import Attitude, GimbalAttitude, PositionFix
+from onboard.telemetry import exiftool_reader
 from onboard.telemetry.log_files import read_log
 from onboard.telemetry.telemetry_log import TelemetryLog, quaternion
+from tests.bench.image.host import install
+from tests.left_out import NO_PROGRAM
 from tests.onboard.telemetry.log_writers import gpmf, mp4
 
 BEGAN_NS = 1_780_308_000 * 10**9  # 2026-06-01 10:00:00
@@ -71,9 +77,59 @@ def test_subtitles_in_a_video_are_as_those_next_to_it(tmp_path: Path) -> None:
         (b"tx3g", b"", "no position in its 1 subtitles"),
     ],
 )
-def test_what_is_in_a_video_and_not_read_is_named(tmp_path: Path, kind: bytes, about: bytes, printed: str) -> None:
+def test_what_is_in_a_video_and_not_read_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: bytes, about: bytes, printed: str
+) -> None:
+    monkeypatch.setattr(exiftool_reader, "PROGRAM", "no-exiftool-here")
     with pytest.raises(InputError, match=printed):
         read(tmp_path, mp4(kind, [b"\0\5hello"], [0.0], about=about))
+
+
+def camm(count: int) -> bytes:
+    """Google's camera motion: positions of type 5, half a second apart."""
+    samples = [struct.pack("<HH3d", 0, 5, 47.0 + 1e-4 * k, 8.2, 500.0 + k) for k in range(count)]
+    return mp4(b"camm", samples, [0.5 * k for k in range(count)])
+
+
+EXIFTOOL_PRINTS = (
+    ";;;\n0;47;8.2;500\n0.5;47.0001;8.2;501\n1;;8.2;502\n1.5;97;8.2;502\n2;nan;8.2;inf\n2.5;47.0005;8.2;505\n"
+)
+
+
+def positions_of(log: TelemetryLog) -> list[tuple[float, float, float]]:
+    fixes = [event for event in log.events if isinstance(event, PositionFix)]
+    return [((fix.stamp_ns - fixes[0].stamp_ns) / 1e9, fix.lat_deg, fix.height_amsl_m) for fix in fixes]
+
+
+def test_what_exiftool_prints_is_the_log_of_a_track_that_is_not_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    program = tmp_path / "exiftool"
+    program.write_text(f"#!/bin/sh\nprintf '%s' '{EXIFTOOL_PRINTS}'\n")
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    log = read(tmp_path, camm(6))
+    assert positions_of(log) == [(0.0, 47.0, 500.0), (0.5, 47.0001, 501.0), (2.5, 47.0005, 505.0)]
+    assert log.video_began is not None and log.video_began[1] == 0.5 and log.utc_sigma_s is None
+    assert log.notes[0] == "positions as exiftool reads them"
+    program.write_text("#!/bin/sh\nexit 1\n")
+    with pytest.raises(InputError, match=r"camera motion \(camm\): exiftool finds no positions"):
+        read(tmp_path, camm(6))
+
+
+@pytest.mark.long  # short: what it printed, above; and `make test` does not install it
+def test_exiftool_reads_a_track(tmp_path: Path) -> None:
+    install_exiftool()
+    expected = [(0.5 * k, 47.0 + 1e-4 * k, 500.0 + k) for k in range(6)]
+    assert np.allclose(positions_of(read(tmp_path, camm(6))), expected, atol=1e-6)
+
+
+def install_exiftool() -> None:
+    if exiftool_reader.is_there():
+        return
+    if os.geteuid() or shutil.which("apt-get") is None:
+        pytest.skip(f"{NO_PROGRAM} exiftool; sudo apt-get install {exiftool_reader.PACKAGE}")
+    install([exiftool_reader.PACKAGE])
 
 
 PARROT = b"application/octet-stream;type=com.parrot.videometadata3"
