@@ -43,10 +43,21 @@ class Target:
     certificate: Path | None = None
     key: Path | None = None
     ttl: int = 1
+    option: str = "--to"  # by which it was given, for messages
+
+    @property
+    def name(self) -> str:
+        return f"{self.scheme}://{self.host}:{self.port}"
 
     @classmethod
     def of(
-        cls, url: str, ca: Path | None = None, certificate: Path | None = None, key: Path | None = None, ttl: int = 1
+        cls,
+        url: str,
+        ca: Path | None = None,
+        certificate: Path | None = None,
+        key: Path | None = None,
+        ttl: int = 1,
+        option: str = "--to",
     ) -> Target:
         """Parse a URL. Raises InputError that shows what a valid one looks like."""
         wanted = "write udp://239.2.3.1:6969, tcp://HOST:8087 or tls://HOST:8089"
@@ -54,14 +65,14 @@ class Target:
             parts = urlsplit(url)
             host, port = parts.hostname, parts.port
         except ValueError as error:
-            raise InputError(f"--to {url}: {error}; {wanted}") from error
+            raise InputError(f"{option} {url}: {error}; {wanted}") from error
         if parts.scheme not in ("udp", "tcp", "tls") or not host or not port or parts.path.strip("/") or parts.query:
-            raise InputError(f"--to {url}: {wanted}")
+            raise InputError(f"{option} {url}: {wanted}")
         if parts.scheme != "tls" and (ca or certificate or key):
-            raise InputError(f"--to {url}: certificates go with tls://")
+            raise InputError(f"{option} {url}: certificates go with tls://")
         if (certificate is None) != (key is None):
-            raise InputError("--to-certificate and --to-key go together")
-        return cls(parts.scheme, host, port, ca, certificate, key, ttl)
+            raise InputError(f"{option}-certificate and {option}-key go together")
+        return cls(parts.scheme, host, port, ca, certificate, key, ttl, option)
 
 
 class CotSender:
@@ -148,7 +159,7 @@ class CotSender:
         return False
 
     def _reason(self, error: OSError) -> str:
-        accepted = ": does it accept --to-certificate?" if self._target.scheme == "tls" else ""
+        accepted = f": does it accept {self._target.option}-certificate?" if self._target.scheme == "tls" else ""
         return f"{error.strerror or error}{accepted}"
 
     def _drop(self, why: str = "") -> None:
@@ -166,7 +177,7 @@ class CotSender:
 
     @property
     def _name(self) -> str:
-        return f"{self._target.scheme}://{self._target.host}:{self._target.port}"
+        return self._target.name
 
     def _opened(self) -> socket.socket:
         t = self._target
@@ -197,4 +208,4 @@ class CotSender:
             return context.wrap_socket(plain, server_hostname=t.host)
         except (OSError, ValueError) as error:
             plain.close()
-            raise LinkError(f"cannot open {self._name}: {error}: is --to-ca the server's authority?") from error
+            raise LinkError(f"cannot open {self._name}: {error}: is {t.option}-ca the server's authority?") from error

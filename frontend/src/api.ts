@@ -75,6 +75,7 @@ export const api = {
   seen: (id: string) => asked<Seen[]>(`/api/pins/${part(id)}/seen`),
   handoff: (id: string, from: string, crs: string) => asked<Handoff>(`/api/pins/${part(id)}/handoff?from=${part(from)}&crs=${part(crs)}`),
   packageUrl: (id: string) => `/api/pins/${part(id)}/package.zip`,
+  sendToTak: (id: string) => asked<{ sent: string }>(`/api/pins/${part(id)}/tak`, "POST"),
   qrUrl: (id: string) => `/api/pins/${part(id)}/qr.svg`,
   measure: (from: string, to: string) => asked<Record<string, number | string | null>>(`/api/measure?from=${part(from)}&to=${part(to)}`),
   undo: (who: string) => asked<{ undone: string | null }>("/api/undo", "POST", { who }),

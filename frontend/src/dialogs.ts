@@ -39,7 +39,7 @@ export async function showHandoff(pin: Pin, state: State, map: MapPane | null): 
   const onMap = mapOf(pin, map);
   body.replaceChildren(head, make("div", { class: "handoff-columns" }, table, pictures),
     make("div", { class: "from no-print" }, make("label", {}, "Bearing and distance ", from), make("label", {}, " Other system ", crs)),
-    make("ul", { class: "export-list no-print" }, make("li", {}, make("a", { href: api.packageUrl(pin.id), download: "", "data-testid": "package" }, "TAK data package"))),
+    make("div", { class: "buttons no-print" }, make("a", { class: "as-button", href: api.packageUrl(pin.id), download: "", "data-testid": "package" }, "TAK data package"), ...sending(pin, state)),
     make("h3", {}, "On the radio"), readback, onMap.figure);
   for (const field of [from, crs]) field.addEventListener("change", () => void fill());
   print.disabled = true; // half a card is not printed
@@ -51,6 +51,21 @@ export async function showHandoff(pin: Pin, state: State, map: MapPane | null): 
   }
   await onMap.settled;
   if (table.isConnected) print.disabled = false; // otherwise another pin's card is open
+}
+
+/** The button that sends a pin to the TAK server, where there is one and this browser may; and what came of it. */
+function sending(pin: Pin, state: State): Node[] {
+  const tak = state.server?.tak ?? "";
+  if (tak === "" || !state.mayChange) return [];
+  const result = make("output", { "data-testid": "tak-result" });
+  const button = make("button", { type: "button", "data-testid": "tak-send", title: `to ${tak}`, click: () => {
+    button.disabled = true;
+    result.textContent = "sending ...";
+    api.sendToTak(pin.id)
+      .then(({ sent }) => { result.textContent = `sent to ${sent}, ${moment(new Date().toISOString())}`; }, (error: unknown) => { result.textContent = `not sent: ${error instanceof Error ? error.message : String(error)}`; })
+      .finally(() => { button.disabled = false; });
+  } }, "Send to TAK");
+  return [button, result];
 }
 
 let tieField: CoordinateField | null = null;

@@ -73,7 +73,7 @@ export interface Tiles {
   min_zoom: number; max_zoom: number; bounds: [number, number, number, number] | null;
 }
 
-export interface ServerStatus { role: "operator" | "viewer" | "pointer"; source: string; is_live: boolean; measures: boolean; damage: string[]; sharing: string; tiles: Tiles | null; vehicles: VehicleState[] }
+export interface ServerStatus { role: "operator" | "viewer" | "pointer"; source: string; is_live: boolean; measures: boolean; damage: string[]; sharing: string; tak: string; tiles: Tiles | null; vehicles: VehicleState[] }
 
 /** The place that an aircraft would have its camera look at. */
 export interface LookOffer { vehicle: string; ticket: string; lat_deg: number; lon_deg: number; height_amsl_m: number; ce90_m: number }

@@ -122,6 +122,7 @@ def status(context: Context, request: Request) -> dict[str, Any]:
         "damage": context.source.damage()[:20],
         "no_pictures": context.source.no_pictures(),
         "sharing": context.sharing_words(),
+        "tak": "" if context.tak is None else context.tak.name,
         "up_s": round(time.time() - context.started_unix_s, 1),
         "browsers": len(context.hub),
         "tiles": None if context.tiles is None else context.tiles.to_dict(),

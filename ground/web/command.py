@@ -88,6 +88,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         const="",
         help="another token, with which one may also have cameras look somewhere (docs/look-there.md)",
     )
+    parser.add_argument("--tak", metavar="URL", help="where Hand off sends a pin: tls://HOST:PORT, tcp:// or udp://")
+    parser.add_argument("--tak-ca", metavar="FILE.pem", type=Path, help="with tls: that server's authority")
+    parser.add_argument("--tak-certificate", metavar="FILE.pem", type=Path, help="with tls: ours")
+    parser.add_argument("--tak-key", metavar="FILE.pem", type=Path, help="with tls: its private key")
     parser.add_argument("--name", action="append", default=[], metavar="NAME", help="a host name that browsers may use")
     parser.add_argument("--tls-certificate", type=Path, metavar="FILE.pem", help="serve https with this certificate")
     parser.add_argument("--tls-key", type=Path, metavar="FILE.pem", help="and this private key")

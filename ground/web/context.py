@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from contract.answer import Fix
 from contract.errors import InputError
+from ground.cot_sender import Target
 from ground.pins.fusion import Contradiction, Fused, Place, between
 from ground.pins.model import Pin, PinClick
 from ground.pins.places import Places
@@ -43,6 +44,7 @@ class ServerContext:
     static: Path
     tiles: Tiles | None = None
     sharing: PinSharing | None = None  # of the pins with other servers
+    tak: Target | None = None  # where a pin is sent that somebody sends
     started_unix_s: float = field(default_factory=time.time)
 
     def __post_init__(self) -> None:

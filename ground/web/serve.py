@@ -15,6 +15,7 @@ import uvicorn
 from contract.errors import InputError
 from contract.link_config import Tls
 from contract.topics import DEFAULT_ENDPOINT
+from ground.cot_sender import Target
 from ground.pins.file import chosen_path, chosen_store
 from ground.pins.store import PinStore
 from ground.web.app import create_app
@@ -37,6 +38,9 @@ MAX_MESSAGE_BYTES = 4096  # of a WebSocket message from a browser, which contain
 def serve(args: argparse.Namespace, tokens: Tokens, tls: Tls | None) -> int:
     """Until a signal ends it. Raises PointclickError before anything is served."""
     tiles = None if args.tiles is None else open_tiles(args.tiles)
+    tak = None
+    if args.tak is not None:
+        tak = Target.of(args.tak, args.tak_ca, args.tak_certificate, args.tak_key, option="--tak")
     is_secure = args.tls_certificate is not None
     with contextlib.ExitStack() as opened:
         listening = opened.enter_context(_listen(args.host, args.port))
@@ -51,7 +55,9 @@ def serve(args: argparse.Namespace, tokens: Tokens, tls: Tls | None) -> int:
             gate.sweep()
 
         config = uvicorn.Config(
-            create_app(ServerContext(source, store, STATIC, tiles, sharing), _rules(args, tokens, tiles, is_secure)),
+            create_app(
+                ServerContext(source, store, STATIC, tiles, sharing, tak), _rules(args, tokens, tiles, is_secure)
+            ),
             http=protocol_of(gate),
             loop="asyncio",  # whose sockets the gate can be asked for
             backlog=BACKLOG,

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import re
+import socket
+import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from typing import Any
 
@@ -11,7 +13,9 @@ import pytest
 
 from contract.geodesy import LocalFrame
 from ground.formats.rounded import rounded_text
+from tests.waiting import PATIENCE_S
 from tests.web.browsing import Operator
+from tests.web.served import Server
 
 pytestmark = pytest.mark.xdist_group("web")
 
@@ -106,3 +110,37 @@ def test_without_a_position_it_is_stated_why(operators: Operators) -> None:
     anna.page.wait_for_function(
         "() => document.querySelector('[data-testid=from-me]').textContent.includes('may not use its position')"
     )
+
+
+def test_one_pin_is_sent_to_the_tak_server_and_one_that_is_gone_is_reported(
+    serve: Callable[..., Server], operators: Operators
+) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as tak:
+        tak.settimeout(PATIENCE_S)
+        to = f"tcp://127.0.0.1:{tak.getsockname()[1]}"
+        anna = operators(serve("--tak", to), has_map=False)
+        pin = chosen(anna)
+        anna.by("handoff").click()
+        anna.by("tak-send").click()
+        stream, _ = tak.accept()
+        with stream:
+            stream.settimeout(PATIENCE_S)
+            received = b"".join(iter(lambda: stream.recv(65536), b""))
+    result = "text => document.querySelector('[data-testid=tak-result]').textContent.startsWith(text)"
+    anna.page.wait_for_function(result, arg=f"sent to {to}, 20")
+    event = ET.fromstring(received)
+    point, place = event.find("point"), pin["place"]
+    assert event.get("uid") == f"pointclick.{pin['id']}" and point is not None
+    assert float(point.get("lat", "")) == pytest.approx(place["lat_deg"], abs=1e-6)
+    assert float(point.get("ce", "")) == pytest.approx(place["ce90_m"], rel=0.1)
+    anna.by("tak-send").click()
+    anna.page.wait_for_function(result, arg=f"not sent: cannot open {to}")
+
+
+def test_without_a_tak_server_there_is_no_button(anna: Operator) -> None:
+    pin = chosen(anna)
+    anna.by("handoff").click()
+    anna.page.wait_for_selector("[data-testid=package]")
+    assert anna.by("tak-send").count() == 0
+    refused = anna.page.request.post(f"{anna.server.local}api/pins/{pin['id']}/tak")
+    assert refused.status == 409 and "--tak" in refused.json()["detail"]
