@@ -58,6 +58,8 @@ class LookLink:
         # A click and a ticket that are asked about again have the same answer: what is lost may be sent once more.
         selector = f"{self._key}?{parameters_of(request)}"
         answer = put_request(self._session, selector, timeout_s=ANSWERED_WITHIN_S)
+        if answer is None and isinstance(request, ConfirmLook):
+            raise LinkError(f"aircraft {self.vehicle!r} has not answered: the camera may have turned or not")
         if answer is None:
             raise LinkError(
                 f"aircraft {self.vehicle!r} does not answer {self.name!r}: is that name in its link.pointers?"

@@ -22,6 +22,7 @@ from onboard.camera.playback import PREFIX
 from onboard.camera.v4l2_device import V4l2Device
 from onboard.commands.checks import CHECKS
 from onboard.config.files import config_files, load_camera, load_config_files, load_second_camera
+from onboard.config.link import check_pointers
 from onboard.config.schema import CameraConfig, Config
 from onboard.events.session_clock import SessionClock
 from onboard.service.readable import Reader
@@ -57,6 +58,7 @@ class Named:
 def run(arguments: argparse.Namespace) -> int:
     """Load a configuration and print which files are good; with --fly, look at what they name as well."""
     config = load_config_files(arguments.config)
+    check_pointers(config.link)
     named = look(config) if arguments.fly else []
     for file in config_files(arguments.config):
         print(f"{file}: good")

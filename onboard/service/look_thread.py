@@ -188,9 +188,8 @@ class LookThread(WokenWork):
         where = (
             "ahead" if target is None else f"at {target.lat_deg:.5f} {target.lon_deg:.5f}, {target.height_amsl_m:.0f} m"
         )
-        log.info(
-            "look: %s: the camera %s%s: %s", who, where, "" if offer is None else f" (CE90 {offer.ce90_m:.1f} m)", word
-        )
+        radius = "" if offer is None else f" (CE90 {offer.ce90_m:.1f} m)"
+        log.info("look: %s has the camera look %s%s: %s", who, where, radius, word)
         if word != NO_AUTOPILOT:
             self.newest = f"{who}: {where}: {word}"[:MAX_LOOK]
             for notify in self.notified:

@@ -144,6 +144,16 @@ def test_a_place_that_is_not_known_well_enough_is_refused_with_its_radius() -> N
     assert refused["status"] == "uncertain" and f"known to {radius_m:.0f} m" in refused["reason"]
 
 
+def test_heights_above_the_ellipsoid_are_sent_as_heights_above_the_sea() -> None:
+    above = dataclasses.replace(
+        SET, height_datum=HeightDatum.ELLIPSOID, camera_height_m=SET.camera_height_m + SET.undulation_m
+    )
+    aircraft = Aircraft(feature_set=above)
+    aircraft.confirm(aircraft.ask(ASKED))
+    (target,) = aircraft.autopilot.targets
+    assert target is not None and target.height_amsl_m == pytest.approx(FIX.height_amsl_m, abs=0.01)
+
+
 def test_a_place_without_a_height_above_the_sea_is_refused() -> None:
     unknown = dataclasses.replace(SET, height_datum=HeightDatum.ELLIPSOID, undulation_m=math.nan)
     assert Aircraft(feature_set=unknown).ask(ASKED)["status"] == "no_height"
@@ -211,7 +221,7 @@ def test_what_is_sent_is_logged_with_who_where_and_what_came_of_it(caplog: pytes
     with caplog.at_level("INFO", "pointclick"):
         aircraft.confirm(aircraft.ask(ASKED))
     (line,) = caplog.messages
-    assert line.startswith("look: anna: the camera at") and f"{FIX.lat_deg:.5f}" in line and line.endswith(": accepted")
+    assert line.startswith(f"look: anna has the camera look at {FIX.lat_deg:.5f} ") and line.endswith(": accepted")
 
 
 def test_a_thousand_hostile_questions_a_second_neither_move_the_camera_nor_keep_others_out() -> None:
