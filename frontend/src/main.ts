@@ -223,6 +223,7 @@ function wire(): void {
   press("tie", () => state.setMode(state.mode.kind === "tie" ? { kind: "pin" } : { kind: "tie" }));
   press("ties", () => { listTies(state, () => undefined); byId<HTMLDialogElement>("ties-dialog").showModal(); });
   press("export", () => byId<HTMLDialogElement>("export-dialog").showModal());
+  press("report", () => { byId<HTMLAnchorElement>("report").href = `/api/report?who=${encodeURIComponent(state.options.who)}`; });
   press("help", () => byId<HTMLDialogElement>("help-dialog").showModal());
   timeBar.addEventListener("input", () => viewer.goTo(Number(timeBar.value)));
   byId<HTMLInputElement>("who").addEventListener("change", (event) => state.set({ who: (event.target as HTMLInputElement).value.trim() }));

@@ -15,7 +15,19 @@ from fastapi.responses import FileResponse, HTMLResponse, JSONResponse, PlainTex
 from starlette.types import ASGIApp
 
 from contract.errors import PointclickError
-from ground.web import api_import, api_look, api_pins, api_seen, api_spots, api_tracks, api_vehicles, handoff, ogc, tak
+from ground.web import (
+    api_import,
+    api_look,
+    api_pins,
+    api_seen,
+    api_spots,
+    api_tracks,
+    api_vehicles,
+    handoff,
+    ogc,
+    report,
+    tak,
+)
 from ground.web.context import NotThere, ServerContext
 from ground.web.dependency import Context
 from ground.web.guard import Guard, Rules
@@ -54,7 +66,7 @@ def create_app(context: ServerContext, rules: Rules) -> ASGIApp:
         description="Pictures, clicks and pins. Angles in degrees (WGS84), lengths in metres, times in UTC.",
     )
     app.state.context = context
-    for part in (api_vehicles, api_pins, handoff, api_import, api_seen, api_tracks, api_look, api_spots, tak):
+    for part in (api_vehicles, api_pins, handoff, api_import, api_seen, api_tracks, api_look, api_spots, report, tak):
         app.include_router(part.router, prefix="/api")
     app.include_router(ogc.router, prefix="/ogc")
 
