@@ -33,8 +33,9 @@ class Spot:
     `temperature_c` its hottest (coldest) pixel's temperature and `above_ground_k` how far that is from its ground's,
     None where the camera is not calibrated: both too small for a spot smaller than a pixel. Without a place `status`
     states why, in the words of a refused click, and there is neither area nor outline. `outline_en_m` is a polygon,
-    east and north of the place, m; empty: not sent. `is_cut`: the picture's edge cuts it, and there is more of it.
-    `kind` is what a net takes it for (None: it is only hot), `log_odds` (ln) how likely that is by all looks at it.
+    east and north of the place, m; empty: not sent. `is_cut`: the picture's edge, or ground without an answer, cuts
+    it, and there is more of it. `kind` is what a net takes it for (None: it is only hot), `log_odds` (ln) how likely
+    that is by all looks at it.
     """
 
     u_px: float

@@ -1,7 +1,7 @@
 """A fire: where it burned in the last minutes, how sure that is, how large it is, how fast it spreads.
 
-Outlines of hot regions, each widened and narrowed by its own ellipse, on a grid of cells: (26.10) to (26.12). No clock
-and no I/O.
+Outlines of hot regions, each widened and narrowed by its own ellipse, on a grid of cells: (26.10), (26.11). How fast it
+spreads stands in `fire_spread`. No clock and no I/O.
 """
 
 from __future__ import annotations
@@ -14,10 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from contract.answer import CHI2_2, Ellipse
+from contract.answer import Ellipse
 from contract.geodesy import LocalFrame, level_ground_m
 from contract.spot import Spot, SpotReport
 from ground.seen.outline import cells_inside, patches
+from ground.spots.fire_spread import Front, spread
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -28,8 +29,6 @@ HOT_M2 = 2.0  # without calibration: smaller hot spots are no fire
 MOST_OUTLINES, MOST_CELLS, LEAST_CELL_M = 20_000, 300, 0.1
 MOST_PICTURES = 100  # of more pictures so many, evenly: the next one adds little
 SMOOTHED = 4  # cells to either side, over which an outline's steps are averaged
-FARTHEST_SHARE = 0.95  # of the front's cells, that have come less far than what is reported
-LEAST_SPREAD_S = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +39,8 @@ class _Region:
     frame: tuple[str, int, int]
     ring_m: Array
     ellipse: Ellipse
+    is_cut: bool
+    picture_share: float
     session_share: float
 
 
@@ -100,7 +101,8 @@ class FireGround:
             self._regions.append(
                 _Region(
                     report.capture_unix_ns, (report.vehicle, report.session, report.frame),
-                    np.asarray(spot.outline_en_m, float) + [east, north], place.ellipse, report.session_share,
+                    np.asarray(spot.outline_en_m, float) + [east, north], place.ellipse, spot.is_cut,
+                    report.picture_share, report.session_share,
                 )
             )  # fmt: skip
 
@@ -114,10 +116,10 @@ class FireGround:
             return None
         grid = _Grid.of(held, self._frame)
         burned, surely, perhaps = (grid.union([grid.cells(region, by) for region in held]) for by in (0, -1, 1))
-        spread = self._spread(held, grid)
+        known = self._spread(held, grid, burned)
         return Fire(
             min(r.at_ns for r in held), max(r.at_ns for r in held), len({r.frame for r in held}), grid.area(burned),
-            grid.area(surely), grid.area(perhaps), *(spread or (None, None)),
+            grid.area(surely), grid.area(perhaps), *(known or (None, None)),
         )  # fmt: skip
 
     def copy(self) -> FireGround:
@@ -126,27 +128,14 @@ class FireGround:
         out._frame, out._regions = self._frame, self._regions.copy()
         return out
 
-    def _spread(self, held: list[_Region], grid: _Grid) -> tuple[float, float] | None:
-        """The front's fastest part between the earlier and the later half, m/s, and one sigma. (26.12)"""
-        middle = 0.5 * (min(r.at_ns for r in held) + max(r.at_ns for r in held))
-        halves = [r for r in held if r.at_ns <= middle], [r for r in held if r.at_ns > middle]
-        if not all(halves):
-            return None
-        seconds = [float(np.mean([r.at_ns for r in half])) / 1e9 for half in halves]
-        if seconds[1] - seconds[0] < LEAST_SPREAD_S:
-            return None
-        before, after = (grid.union([grid.cells(r, 0) for r in half]) for half in halves)
-        new = _edge(after) & ~before
-        if not new.any():
-            far_m = 0.0
-        else:
-            places, known = np.argwhere(new).astype(float), np.argwhere(_edge(before)).astype(float)
-            far = np.array([math.sqrt(float(np.min(np.sum((known - p) ** 2, axis=1)))) for p in places])
-            far_m = float(np.quantile(far, FARTHEST_SHARE)) * grid.cell_m
-        # Of each half the typical place's error without what both have in common; the number of pictures is no help.
-        parts = [np.mean([_sigma2(r) * (1.0 - r.session_share) for r in half]) for half in halves]
-        sigma_m = math.sqrt(float(sum(parts)) + 2.0 * grid.cell_m**2 / 12.0)
-        return far_m / (seconds[1] - seconds[0]), sigma_m / (seconds[1] - seconds[0])
+    def _spread(self, held: list[_Region], grid: _Grid, burned: Mask) -> tuple[float, float] | None:
+        """The front's fastest part, m/s, and one sigma, by all pictures' outlines."""
+        by_picture: dict[tuple[str, int, int], list[_Region]] = {}
+        for region in held:
+            by_picture.setdefault(region.frame, []).append(region)
+        first_ns = min(region.at_ns for region in held)
+        fronts = [_front(regions, first_ns) for regions in by_picture.values()]
+        return spread(fronts, grid.corner_m + (np.argwhere(_edge(burned))[:, ::-1] + 0.5) * grid.cell_m)
 
     def _burns(self, spot: Spot) -> bool:
         if spot.temperature_c is not None:
@@ -239,9 +228,14 @@ def _thinned(held: list[_Region]) -> list[_Region]:
     return [region for region in held if region.frame in kept]
 
 
-def _sigma2(region: _Region) -> float:
-    """Variance of a region's place along its major axis, m^2."""
-    return region.ellipse.semi_major_m**2 / CHI2_2
+def _front(regions: list[_Region], first_ns: int) -> Front:
+    """The outlines of one picture."""
+    one = regions[0]
+    return Front(
+        (one.at_ns - first_ns) / 1e9, one.frame[:2], tuple(r.ring_m for r in regions),
+        tuple(r.is_cut for r in regions), np.mean([r.ellipse.covariance_en_m2 for r in regions], axis=0),
+        one.picture_share, one.session_share,
+    )  # fmt: skip
 
 
 def _edge(mask: Mask) -> Mask:

@@ -144,11 +144,11 @@ class SpotBook:
         if not isinstance(answer, Fix):
             spot = Spot(u, v, region.contrast, hottest, above, answer.status, is_cut=region.is_cut)
             return Placed(spot, None, np.full(2, np.nan), 0.0)
-        outline, pixel_m = self._outline(region, locator, answer)
+        outline, pixel_m, is_whole = self._outline(region, locator, answer)
         area, sigma = area_and_sigma(outline, region, pixel_m, answer)
         spot = Spot(
             u, v, region.contrast, hottest, above, Status.OK, answer.place, area, sigma,
-            tuple((float(east), float(north)) for east, north in outline), region.is_cut,
+            tuple((float(east), float(north)) for east, north in outline), region.is_cut or not is_whole,
         )  # fmt: skip
         place = self._en_m(answer.lat_deg, answer.lon_deg)
         one = Placed(spot, answer, place, max(answer.ellipse.semi_major_m, LEAST_GATE_PX * pixel_m))
@@ -158,15 +158,17 @@ class SpotBook:
         by_pixel = parts.by_pixel_m[:2]
         return replace(one, pointed_m=by_pixel @ root, by_mount_m=by_pixel @ pointing.by_state(region.uv_px))
 
-    def _outline(self, region: Region, locator: Locator, fix: Fix) -> tuple[Array, float]:
-        """East and north (N, 2) of the place, without what has none of its own; and the side of a pixel there, m."""
+    def _outline(self, region: Region, locator: Locator, fix: Fix) -> tuple[Array, float, bool]:
+        """East and north (N, 2) of the place, without what has none of its own; the side of a pixel there, m; whether
+        nothing of it is without a place.
+        """
         each = locator.answers(region.outline_px)
         shown = each.is_answered
         outline = (each.offset_enu_m[shown] - fix.offset_enu_m)[:, :2]
         pixels = each.by_pixel_m[shown][:, :2]
         if len(outline) < 3:
-            return np.zeros((0, 2)), 0.0
-        return outline, float(np.sqrt(np.median(np.abs(np.linalg.det(pixels)))))
+            return np.zeros((0, 2)), 0.0, False
+        return outline, float(np.sqrt(np.median(np.abs(np.linalg.det(pixels))))), bool(shown.all())
 
     def _times_seen(self, one: Placed) -> int:
         """Count the pictures before that had a spot on that ground."""

@@ -76,6 +76,21 @@ def test_a_fire_wider_than_its_surroundings_is_found_with_its_outline(output: st
         assert largest.temperature_c == pytest.approx(700.0 - 273.15, rel=0.15)
 
 
+def test_a_fire_of_which_a_part_has_no_place_is_cut() -> None:
+    """Its outline ends where the answers do, as at the picture's edge: there is more of it."""
+    fire = Fire(((-4.0, 0.0), (4.0, 0.0)), rate_m_s=0.2, first_m=30.0, ember_k=600.0, cooling_s=600.0)
+    scene = Scene(ThermalSpec(fires=(fire,)), step_m=0.0)
+    frames = [scene.picture(k) for k in range(2)]
+    cut = []
+    for horizon in (np.inf, 0.25):  # the ground falls off to the picture's top, or there is none beyond a part of it
+        book = SpotBook("u", SpotsConfig(), CALIBRATED)
+        for frame, its_set in frames:
+            near = its_set.plane_per_m[0]
+            report = book.picture(frame, replace(its_set, plane_per_m=np.array([near, 0.0, near / horizon])))
+        cut.append([spot.is_cut for spot in report.spots if spot.outline_en_m])
+    assert cut == [[False], [True]]
+
+
 def test_a_pixels_fault_stays_on_the_picture_and_is_no_spot() -> None:
     scene, book = Scene(replace(CALM, sources=())), SpotBook("uav-1", SpotsConfig(), CALIBRATED)
     for k in range(5):

@@ -1,0 +1,223 @@
+"""How fast a fire's front moves: the distance of each of its parts from every picture's outline. (26.12) to (26.16)
+
+No clock and no I/O.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ground.spots.motion import PICTURE_TIME_S
+from ground.two_sets import symmetric_root
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+MOST_PARTS = 32  # of the front
+FARTHEST_SHARE = 0.95  # of the front's parts, that move less fast than what is reported
+LEAST_SPREAD_S = 10.0
+SESSION_TIME_S = 60.0  # for which a receiver's error lasts, the part of a session's that moves
+MISSED_SIGMAS = 3.0  # by which an outline is behind the others' front where it does not show that part
+FITS = 8
+STATED = 10.0  # degrees of freedom that the stated errors count as, against what the outlines show of them
+WORSE = 2.0  # times the usual sigma, above which a part is not known well enough to be the fastest
+EDGE_SHARE, STRAIGHT = 0.02, 0.35  # of an outline's reach: how near to a line, and so long, is the picture's edge
+ROUNDED = 1.0 / 127.0  # of an outline's reach: the step of its corners on the wire
+LEAST_M = 0.01  # of a length
+NODES = 16, 8  # directions and distances of (26.15)
+
+
+@dataclass(frozen=True, eq=False)
+class Front:
+    """The outlines of one picture: closed rings (K, 2), east and north, m, whether the picture's edge cuts each, and
+    the error that their places have: covariance (2, 2), m^2, and the shares of (25.12).
+    """
+
+    at_s: float
+    session: tuple[str, int]
+    rings_m: tuple[Array, ...]
+    is_cut: tuple[bool, ...]
+    covariance_m2: Array
+    picture_share: float
+    session_share: float
+
+
+class _Errors:
+    """The errors of all pictures' places (K), split by what is theirs alone and what lasts. (26.13)"""
+
+    def __init__(self, fronts: Sequence[Front]) -> None:
+        self._whole_m2 = np.array([front.covariance_m2 for front in fronts])
+        self._picture = np.array([front.picture_share for front in fronts])
+        self._session = np.minimum([front.session_share for front in fronts], self._picture)
+        reach_m = [max(float(np.ptp(ring, axis=0).max()) for ring in front.rings_m) for front in fronts]
+        self._corners_m2 = (0.5 * ROUNDED * np.array(reach_m)) ** 2 / 12.0 + LEAST_M**2
+        times_s = np.array([front.at_s for front in fronts])
+        lag_s = np.abs(times_s[:, None] - times_s[None])
+        number = np.unique([f"{front.session}" for front in fronts], return_inverse=True)[1]
+        is_same = number[:, None] == number[None]
+        self._lasts = tuple(is_same * np.exp(-lag_s / time_s) for time_s in (PICTURE_TIME_S, SESSION_TIME_S))
+
+    @property
+    def mean_m2(self) -> Array:
+        """(2, 2), of the usual picture's place."""
+        out: Array = self._whole_m2.mean(axis=0)
+        return out
+
+    def along(self, normal: Array) -> Array:
+        """(K, K), m^2, of the distances along a normal (2,)."""
+        along = np.einsum("i,kij,j->k", normal, self._whole_m2, normal)
+        out = np.diag(along * (1.0 - self._picture) + self._corners_m2)
+        for share, lasts in zip((self._picture - self._session, self._session), self._lasts, strict=True):
+            sigma = np.sqrt(along * share)
+            out += lasts * np.outer(sigma, sigma)
+        return out
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """All outlines as one part of the front sees them: distances (K,), m, outward normals (K, 2), and which are of use
+    (K,).
+    """
+
+    away_m: Array
+    outward: Array
+    is_shown: Mask
+
+
+def spread(fronts: Sequence[Front], parts_m: Array) -> tuple[float, float] | None:
+    """The speed of the fastest of the front's parts (N, 2), m/s, and one sigma; None while too little is known."""
+    if not fronts or not len(parts_m):
+        return None
+    errors = _Errors(fronts)
+    each = (_speed(fronts, errors, seen) for seen in _all_seen(fronts, parts_m))
+    known = [found for found in each if found is not None]
+    if not known:
+        return None
+    speeds, variances, outward, misfits, freedoms = (np.array(column) for column in zip(*known, strict=True))
+    # All parts show the same errors of places, which have two axes.
+    variances *= (STATED + 2.0 * float(misfits.mean())) / (STATED + 2.0 * float(freedoms.mean()))
+    is_good = np.sqrt(variances) <= WORSE * float(np.median(np.sqrt(variances)))
+    along = outward[is_good] @ symmetric_root(errors.mean_m2)
+    length = np.maximum(np.hypot(*along.T), LEAST_M)
+    per_sigma = (np.sqrt(variances[is_good]) / length)[:, None] * along
+    return _fastest(speeds[is_good], per_sigma)
+
+
+def _fastest(speeds: Array, per_sigma: Array) -> tuple[float, float]:
+    """The fastest of speeds (N,) that err together by (N, 2) times two normal variates, and one sigma. (26.15), (26.16)
+
+    The greatest of erring values is too great in the mean: by as much as it grows when they err once more.
+    """
+    angles = 2.0 * np.pi * (np.arange(NODES[0]) + 0.5) / NODES[0]
+    far = np.sqrt(-2.0 * np.log(1.0 - (np.arange(NODES[1]) + 0.5) / NODES[1]))
+    nodes = np.array([[r * np.cos(a), r * np.sin(a)] for r in far for a in angles])
+    found = float(np.quantile(speeds, FARTHEST_SHARE))
+    again = np.quantile(speeds + nodes @ per_sigma.T, FARTHEST_SHARE, axis=1)
+    grown = float(again.mean()) - found
+    # How much of it is due depends on the errors that there were: it is as uncertain as it is large.
+    return max(found - grown, 0.0), float(np.hypot(again.std(), grown))
+
+
+def _speed(fronts: Sequence[Front], errors: _Errors, seen: _Seen) -> tuple[float, float, Array, float, float] | None:
+    """The speed of one part of the front, its variance, its outward normal (2,), the fit's misfit and freedom. (26.14)
+
+    Begins with the outlines that nothing cuts. One that is far behind the line does not show that part of the front.
+    """
+    times_s = np.array([front.at_s for front in fronts])
+    whole = seen.is_shown & np.array([not any(front.is_cut) for front in fronts])
+    used = whole if _lasted_s(times_s[whole]) >= LEAST_SPREAD_S else seen.is_shown
+    for _ in range(FITS):
+        if _lasted_s(times_s[used]) < LEAST_SPREAD_S:
+            return None
+        normal = seen.outward[used].sum(axis=0)
+        normal /= max(float(np.hypot(*normal)), 1e-9)
+        V = errors.along(normal)
+        H = np.column_stack([np.ones(len(fronts)), times_s - times_s[used].mean()])
+        weighed = np.linalg.solve(V[np.ix_(used, used)], H[used])
+        C = np.linalg.inv(H[used].T @ weighed)
+        fit = C @ (weighed.T @ seen.away_m[used])
+        behind = (seen.away_m - H @ fit) / np.sqrt(np.diagonal(V) + np.sum((H @ C) * H, axis=1))
+        agree = seen.is_shown & (behind <= MISSED_SIGMAS)
+        if np.array_equal(agree, used):
+            residual = (seen.away_m - H @ fit)[used]
+            misfit = float(residual @ np.linalg.solve(V[np.ix_(used, used)], residual))
+            return -float(fit[1]), float(C[1, 1]), normal, misfit, np.count_nonzero(used) - 2.0
+        used = agree
+    return None
+
+
+def _lasted_s(times_s: Array) -> float:
+    return float(np.ptp(times_s)) if len(times_s) else 0.0
+
+
+def _all_seen(fronts: Sequence[Front], parts_m: Array) -> list[_Seen]:
+    """Each part of the front as all pictures have it."""
+    chosen = parts_m[np.unique(np.linspace(0, len(parts_m) - 1, min(MOST_PARTS, len(parts_m))).astype(int))]
+    found = [_distances(front, chosen) for front in fronts]
+    away, outward, shown = (np.stack(column, axis=1) for column in zip(*found, strict=True))
+    return [_Seen(*one) for one in zip(away, outward, shown, strict=True)]
+
+
+def _distances(front: Front, points_m: Array) -> tuple[Array, Array, Mask]:
+    """The distances (N,) of points (N, 2) from a picture's outlines, less than 0 inside, the nearest edges' outward
+    normals (N, 2), and whether they are of the fire's own edge (N,): else the picture ends there. (26.12)
+    """
+    begin = np.concatenate(front.rings_m)
+    end = np.concatenate([np.roll(ring, -1, axis=0) for ring in front.rings_m])
+    of_picture = _picture_edges(front, begin, end)
+    along = end - begin
+    length2 = np.maximum(np.sum(along**2, axis=1), 1e-12)
+    to = points_m[:, None] - begin
+    share = np.clip(np.sum(to * along, axis=2) / length2, 0.0, 1.0)
+    far = np.linalg.norm(to - share[..., None] * along, axis=2)
+    nearest = np.argmin(far, axis=1)
+    x, y = points_m[:, 0][:, None], points_m[:, 1][:, None]
+    crosses = (begin[:, 1] > y) != (end[:, 1] > y)
+    height = np.where(along[:, 1] == 0.0, 1.0, along[:, 1])
+    inside = np.sum(crosses & (x < begin[:, 0] + (y - begin[:, 1]) / height * along[:, 0]), axis=1) % 2 == 1
+    turns = np.concatenate([np.full(len(ring), np.sign(_turn(ring)) or 1.0) for ring in front.rings_m])
+    normals = turns[:, None] * np.column_stack([along[:, 1], -along[:, 0]]) / np.sqrt(length2)[:, None]
+    rows = np.arange(len(points_m))
+    least = far[rows, nearest]
+    by_picture = np.min(np.where(of_picture, far, np.inf), axis=1)
+    return np.where(inside, -least, least), normals[nearest], by_picture > least + 1e-9
+
+
+def _picture_edges(front: Front, begin: Array, end: Array) -> Mask:
+    """Which edges (M,) are where the picture ends, of outlines that are cut: the long ones with nothing beyond."""
+    out = np.zeros(len(begin), bool)
+    at = 0
+    for ring, is_cut in zip(front.rings_m, front.is_cut, strict=True):
+        ours = slice(at, at + len(ring))
+        at += len(ring)
+        if is_cut:
+            out[ours] = _straight(begin[ours], end[ours])
+    return out
+
+
+def _straight(begin: Array, end: Array) -> Mask:
+    """Which edges (M,) of an outline lie along a line that it nowhere crosses, and that has a good part of it."""
+    out = np.zeros(len(begin), bool)
+    along = end - begin
+    length = np.hypot(*along.T)
+    reach_m = float(np.max(np.ptp(begin, axis=0)))
+    for k in np.flatnonzero(length > 0.0):
+        e, n = along[k] / length[k]
+        side = e * (begin[:, 1] - begin[k, 1]) - n * (begin[:, 0] - begin[k, 0])
+        side = side if side.max() > -side.min() else -side
+        if side.min() < -EDGE_SHARE * reach_m:
+            continue
+        on_it = (side < EDGE_SHARE * reach_m) & (np.roll(side, -1) < EDGE_SHARE * reach_m)
+        if length[on_it].sum() > STRAIGHT * reach_m:
+            out |= on_it
+    return out
+
+
+def _turn(ring: Array) -> float:
+    """Above 0 if a ring (K, 2) runs anticlockwise."""
+    x, y = (ring - ring.mean(axis=0)).T
+    return float(x @ np.roll(y, -1) - y @ np.roll(x, -1))
