@@ -15,8 +15,9 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 from benchmarks.machine import describe, load, table, verdict
 
@@ -25,12 +26,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.sampled_flight import PLACE, SampledFlight, SampledSpec, SampledTracker
+from benchmarks.autopilots import STARTS, ReplayedFlight, ReplayedTracker, Scene
+from benchmarks.sampled_flight import SampledFlight, SampledSpec, SampledTracker
 from benchmarks.scatter import mean_and_sigma
 from benchmarks.short_flight import with_first_sets
 from contract.answer import CHI2_2, Place
 from contract.camera import Camera
 from contract.feature_set import FeatureSet
+from contract.geodesy import LocalFrame
 from contract.track import TrackState
 from contract.wire.spot_code import decode_spots, encode_spots
 from contract.wire.track_code import decode_track, encode_track
@@ -45,6 +48,7 @@ from simulation.movers import MoverSpec
 from simulation.paths import PathSpec
 
 Array = NDArray[np.float64]
+Flight = SampledFlight | ReplayedFlight
 
 GOAL = 0.85, 0.96
 SAME_PX = 4.0  # of a spot or a track from where the thing truly is
@@ -53,6 +57,9 @@ WARM_S = 6.0  # until the window is filled
 GROUND_K, NOISE_K, CLUTTER = 290.0, 0.05, ((1.5, 0.3), (12.0, 0.8))  # clutter: px, K
 PERSON_M, PERSON_K, LENS_PX = 0.5, 8.0, 0.6
 PEOPLE, APART_M = 8, 8.0
+
+RECORDED = "copter_survey", "plane_clean", "plane_breeze", "plane_log"
+RECORDED_FROM_S, RECORDED_S, RECORDED_FOV_DEG = 60.0, 24.0, 30.0  # a person is a pixel and a half from 250 m
 
 TEXEL_M, FIELD_M = 0.25, 640.0
 CAR_SHADE, CAR_M = 235, (4.0, 1.8)
@@ -94,24 +101,42 @@ def track_spec() -> SampledSpec:
     return SampledSpec(parse_config(""), path=path, seconds=16.0, rate_hz=10.0, relief_sigma_m=0.0, camera=camera)
 
 
-def sets_in_flight(flight: SampledFlight) -> Iterator[tuple[Frame, FeatureSet]]:
+def recorded_flight(seed: int) -> ReplayedFlight:
+    """A stretch of a recorded autopilot's flight, with what its simulator lacks sampled as it is declared.
+
+    A receiver's correlated error is added (`benchmarks.autopilots`); the camera sits and stamps as the configuration's
+    sigmas allow: a camera mounted and timed without any error shows nothing of how wide an ellipse must be.
+    """
+    rng = np.random.default_rng([seed, 950])
+    config = parse_config("[thermal]\nenabled = true\nscale = 0.01\n")
+    name = RECORDED[seed % len(RECORDED)]
+    scene = Scene(
+        name, config, STARTS[name] + float(rng.uniform(0.0, RECORDED_FROM_S)), RECORDED_S,
+        mount_error_deg=tuple(config.mount.sigma_deg * rng.standard_normal(3)),
+        stamps_late_s=float(config.camera.sigma_latency_s * rng.standard_normal()),
+        camera=Camera.from_field_of_view(320, 256, RECORDED_FOV_DEG),
+    )  # fmt: skip
+    return ReplayedFlight(scene, seed)
+
+
+def sets_in_flight(flight: Flight) -> Iterator[tuple[Frame, FeatureSet]]:
     """Each picture with its first set, as it is sent in flight."""
     pipeline = Pipeline(flight.spec.config, flight.spec.camera)
-    pipeline.tracker = SampledTracker(flight)
+    pipeline.tracker = ReplayedTracker(flight) if isinstance(flight, ReplayedFlight) else SampledTracker(flight)
     return with_first_sets(flight.events(), pipeline)
 
 
-def find_spots(spec: SampledSpec, seed: int) -> Found:
+def find_spots(flight: Flight, seed: int) -> Found:
     """One flight over people."""
-    flight, found = SampledFlight(spec, seed), Found()
-    people = people_below(flight)
-    book, merger = SpotBook("uav", spec.config.spots, spec.config.thermal), SpotMerger()
-    due = DuePictures(spec.config.spots.rate_hz, 256)
+    config, found = flight.spec.config, Found()
+    people = people_below(flight, seed)
+    book, merger = SpotBook("uav", config.spots, config.thermal), SpotMerger()
+    due = DuePictures(config.spots.rate_hz, 256)
     whose: dict[int, int] = {}
     for frame, its_set in sets_in_flight(flight):
         if flight.times_s[frame.index] < WARM_S:
             continue
-        due.event(replace(frame, counts=heat_picture(flight, frame.index, people)))
+        due.event(replace(frame, counts=heat_picture(flight, seed, frame.index, people)))
         picture = due.take(its_set)
         said = None if picture is None else book.picture(picture, its_set)
         if said is None:
@@ -121,36 +146,36 @@ def find_spots(spec: SampledSpec, seed: int) -> Found:
         for spot in report.spots:
             k = nearest(uv, seen, spot.u_px, spot.v_px)
             if k is not None and spot.place is not None and not spot.is_cut:
-                found.spots.append(chi2_of(spot.place, people[k, :2]))
+                found.spots.append(chi2_of(flight.place, spot.place, people[k, :2]))
         for thing in merger.add(report):
             k = nearest(uv, seen, thing.newest.u_px, thing.newest.v_px)
             if k is not None:
                 whose[thing.number] = k
     things = [thing for thing in merger.things() if thing.number in whose and thing.is_sure]
-    found.things = [chi2_of(thing.place, people[whose[thing.number], :2]) for thing in things]
+    found.things = [chi2_of(flight.place, thing.place, people[whose[thing.number], :2]) for thing in things]
     found.people, found.parts = len({whose[thing.number] for thing in things}), len(things)
     return found
 
 
-def people_below(flight: SampledFlight) -> Array:
+def people_below(flight: Flight, seed: int) -> Array:
     """Places (N, 3) on the ground that the pictures show, somewhat apart from each other."""
-    rng = np.random.default_rng([flight.seed, 920])
+    rng = np.random.default_rng([seed, 920])
     size = np.array(flight.spec.camera.size_px)
     pictures = np.flatnonzero(flight.times_s > WARM_S)
     kept: list[Array] = []
     for _ in range(20 * PEOPLE):
         uv = rng.uniform(0.1, 0.9, (1, 2)) * size
         point = flight.ground_points(int(rng.choice(pictures)), uv)[0]
-        if all(np.hypot(*(point - other)[:2]) > APART_M for other in kept):
+        if np.isfinite(point).all() and all(np.hypot(*(point - other)[:2]) > APART_M for other in kept):
             kept.append(point)
         if len(kept) == PEOPLE:
             break
     return np.array(kept)
 
 
-def heat_picture(flight: SampledFlight, frame: int, people: Array) -> NDArray[np.uint16]:
+def heat_picture(flight: Flight, seed: int, frame: int, people: Array) -> NDArray[np.uint16]:
     """Counts (H, W) of a picture: varied ground, noise, and people where they truly are, through the lens."""
-    rng = np.random.default_rng([flight.seed, 921, frame])
+    rng = np.random.default_rng([seed, 921, frame])
     width, height = flight.spec.camera.size_px
     kelvin = GROUND_K + NOISE_K * rng.standard_normal((height, width))
     for blur_px, sigma_k in CLUTTER:
@@ -195,7 +220,7 @@ def find_tracks(spec: SampledSpec, seed: int) -> Found:
             uv, seen = flight.pixels(frame.index, where[None])
             is_it = nearest(uv, seen, report.u_px, report.v_px) is not None
             if report.frame == frame.index and report.state is TrackState.FOLLOWED and report.place and is_it:
-                found.tracks.append(chi2_of(report.place, where[:2]))
+                found.tracks.append(chi2_of(flight.place, report.place, where[:2]))
     return found
 
 
@@ -272,10 +297,10 @@ def nearest(uv: Array, seen: NDArray[np.bool_], u_px: float, v_px: float) -> int
     return k if off[k] < SAME_PX else None
 
 
-def chi2_of(place: Place, true_m: Array) -> float:
+def chi2_of(frame: LocalFrame, place: Place, true_m: Array) -> float:
     """The squared error of a place, east and north, over its covariance; where it truly is (2,)."""
     assert place.height_amsl_m is not None
-    away = PLACE.to_enu(place.lat_deg, place.lon_deg, place.height_amsl_m)[:2] - true_m
+    away = frame.to_enu(place.lat_deg, place.lon_deg, place.height_amsl_m)[:2] - true_m
     return float(away @ np.linalg.solve(place.ellipse.covariance_en_m2, away))
 
 
@@ -304,10 +329,11 @@ def main() -> int:
     print(f"{describe()}; {load()}; {args.flights} flights a row, seed {args.seed}\n")
     cv2.setNumThreads(1)
     seeds, out = range(args.seed, args.seed + args.flights), []
-    for name, spec in rows().items():
+    flights: dict[str, Callable[[int], Flight]] = {n: partial(SampledFlight, spec) for n, spec in rows().items()}
+    for name, flight_of in {**flights, "recorded autopilots": recorded_flight}.items():
         if args.rows in name:
             began_s = time.monotonic()
-            simulated = [find_spots(spec, seed) for seed in seeds]
+            simulated = [find_spots(flight_of(seed), seed) for seed in seeds]
             out.append(row(name, "spots", [f.spots for f in simulated]))
             out.append(row(name, "merged", [f.things for f in simulated]))
             people, parts = sum(f.people for f in simulated), sum(f.parts for f in simulated)

@@ -10,6 +10,7 @@ import pytest
 
 from benchmarks import found_coverage
 from benchmarks.coverage import Counts, judge, rows
+from benchmarks.sampled_flight import SampledFlight
 from contract.answer import CHI2_2
 
 pytestmark = pytest.mark.long
@@ -46,9 +47,8 @@ def test_nine_of_ten_errors_lie_inside_their_ellipses_within_a_set_and_between_s
 
 
 def test_the_ellipses_of_spots_and_of_what_they_are_merged_into_hold_nine_errors_of_ten() -> None:
-    simulated = [
-        found_coverage.find_spots(found_coverage.rows()["straight down"], seed) for seed in range(SHORT_FLIGHTS)
-    ]
+    spec = found_coverage.rows()["straight down"]
+    simulated = [found_coverage.find_spots(SampledFlight(spec, seed), seed) for seed in range(SHORT_FLIGHTS)]
     assert sum(len(one.spots) for one in simulated) > 10 * SHORT_FLIGHTS
     people, parts = sum(one.people for one in simulated), sum(one.parts for one in simulated)
     assert people > 2 * SHORT_FLIGHTS and parts <= 1.05 * people  # no one becomes two
