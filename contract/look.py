@@ -18,8 +18,8 @@ from contract.topics import LOOK
 MOST_REQUEST = 300  # characters
 MOST_PX = 65535.0
 OFFER_S = 30.0  # for which an offer may be confirmed
-LATE_S = 3.0  # on the way, of offer and confirmation together: a later one is not done
-ANSWERED_WITHIN_S = 8.0  # that a ground waits: the autopilot is asked three times
+LATE_S = 5.0  # on the way, of offer and confirmation together: a later one is not done
+ANSWERED_WITHIN_S = 8.0  # that a ground waits: LATE_S, and three for the autopilot to acknowledge it
 END, TICKET, WAITED = "end", "ticket", "waited"
 _CLICK = "session", "frame", "u", "v", "lat", "lon", "radius"
 
