@@ -1,4 +1,7 @@
-"""`pc-ground seen`: which ground was seen, when, how often and how finely; and what was not. docs/seen.md."""
+"""`pc-ground seen`: which ground was seen, when, how often and how finely; and what was not. docs/seen.md.
+
+Exit status: ground/commands/listening.py.
+"""
 
 from __future__ import annotations
 
@@ -7,18 +10,18 @@ import json
 import sys
 import time
 from collections import deque
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 from contract.camera import Camera
 from contract.errors import InputError
 from contract.feature_set import FeatureSet
 from contract.spot import SpotReport
-from contract.topics import ANY_VEHICLE, SPOTS
+from contract.topics import ANY_VEHICLE, SPOTS, STATUS
 from contract.wire.message import SPOT_REPORTS
 from ground.commands import ANSWERED, REFUSED
-from ground.commands.saving import save
-from ground.commands.sources import add_source_arguments, opened, vehicle_of
+from ground.commands.listening import Received, add_listening_arguments, check_files, check_listening, write_out
+from ground.commands.sources import opened, vehicles_of
 from ground.commands.until_ended import until_ended
 from ground.commands.values import positive, share
 from ground.link_options import UsageError, endpoint_of, tls_of
@@ -51,18 +54,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--cell", metavar="M", type=positive, help="side of a cell (default: a hundredth of the height)"
     )
-    parser.add_argument(
-        "--out",
-        metavar="FILE",
-        type=Path,
-        action="append",
-        default=[],
-        help=f"{', '.join(sorted(WRITERS))}; may be repeated",
-    )
-    parser.add_argument(
-        "--seconds", metavar="S", type=positive, help="live: end so long after the first set (default: Ctrl-C)"
-    )
-    parser.add_argument("--json", action="store_true", help="a JSON object instead of lines")
     pod = parser.add_argument_group("probability of detection (docs/seen.md)")
     pod.add_argument("--pod", action="store_true", help="who would have been found, in each area of --polygon")
     pod.add_argument("--by", choices=("machine", "operator"), help="gaps are its (default: machine, if it searched)")
@@ -75,7 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     fly.add_argument("--fly", metavar="FILE", type=Path, action="append", default=[], help=", ".join(sorted(FORMATS)))
     fly.add_argument("--height", metavar="M", type=positive, help="above the ground (default: what --below needs)")
     fly.add_argument("--overlap", metavar="P", type=share, help=f"of neighbouring rows (default {OVERLAP:g})")
-    add_source_arguments(parser)
+    add_listening_arguments(parser, WRITERS)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -83,15 +74,18 @@ def run(args: argparse.Namespace) -> int:
     _check(args)
     sectors = None if args.polygon is None else read_sectors(args.polygon)
     woods = [] if args.woods is None else read_woods(args.woods)
-    seen, reports, newest = SeenGround(args.cell), list[SpotReport](), None
-    for found in _recorded(args, reports) if args.recording is not None else _live(args, reports):
+    seen, reports, newest = SeenGround(args.cell), list[SpotReport](), list[FeatureSet]()
+
+    def add(found: FeatureSet) -> None:
         seen.add(found)
-        if found.is_ok and (newest is None or found.capture_unix_ns > newest.capture_unix_ns):
-            newest = found
+        if found.is_ok and (not newest or found.capture_unix_ns > newest[0].capture_unix_ns):
+            newest[:] = [found]
+
+    (_live if args.recording is None else _recorded)(args, reports, add)
     shown = coverage(seen, None if sectors is None else [polygon for sector in sectors for polygon in sector.polygons])
     _warn(seen)
     if shown is None:
-        print("nothing was surely seen: no set answers, or all are too uncertain")
+        print("nothing was surely seen: no set answers, or all are too uncertain", file=sys.stderr)
         return REFUSED
     searched = None
     if args.pod:
@@ -106,8 +100,8 @@ def run(args: argparse.Namespace) -> int:
         write(path, seen, shown, searched)
         if not args.json:
             print(f"written: {path}")
-    if args.fly and searched is not None and newest is not None:
-        _write_rows(args, searched, shown, newest.camera)
+    if args.fly and searched is not None and newest:
+        _write_rows(args, searched, shown, newest[0].camera)
     return ANSWERED
 
 
@@ -115,21 +109,13 @@ def _check(args: argparse.Namespace) -> None:
     """Raise UsageError for options that need another one or cannot be, InputError for files that cannot be written."""
     if args.cell is not None and not LEAST_CELL_M <= args.cell <= MOST_CELL_M:
         raise UsageError(f"--cell must be from {LEAST_CELL_M:g} to {MOST_CELL_M:g} m")
-    _check_files("--out", args.out, WRITERS)
+    check_listening(args, WRITERS)
     given = [args.by, args.below, args.woods, args.look, args.height, args.overlap, args.fly or None]
     if not args.pod and any(value is not None for value in given):
         raise UsageError("--by, --below, --woods, --look, --fly, --height and --overlap go with --pod")
     if args.overlap is not None and args.overlap > MOST_OVERLAP:
         raise UsageError(f"--overlap is at most {MOST_OVERLAP:g}")
-    _check_files("--fly", args.fly, FORMATS)
-
-
-def _check_files(option: str, paths: Sequence[Path], suffixes: Collection[str]) -> None:
-    for path in paths:
-        if path.suffix.lower() not in suffixes:
-            raise UsageError(f"{option} {path}: the name must end in {', '.join(sorted(suffixes))}")
-        if not path.parent.is_dir():
-            raise InputError(f"{option} {path}: there is no folder {path.parent}")
+    check_files("--fly", args.fly, FORMATS)
 
 
 def _write_rows(args: argparse.Namespace, searched: Searched, shown: Coverage, camera: Camera) -> None:
@@ -144,9 +130,7 @@ def _write_rows(args: argparse.Namespace, searched: Searched, shown: Coverage, c
     if not args.json:
         print(rows.to_text())
     for path in args.fly:
-        save(path, FORMATS[path.suffix.lower()](rows))
-        if not args.json:
-            print(f"written: {path}")
+        write_out(args, path, FORMATS[path.suffix.lower()](rows))
 
 
 def _warn(seen: SeenGround) -> None:
@@ -191,15 +175,13 @@ def summary(seen: SeenGround, found: Coverage) -> list[str]:
     return lines
 
 
-def _recorded(args: argparse.Namespace, reports: list[SpotReport]) -> Iterator[FeatureSet]:
-    """The sets of a recording, of one vehicle or of all, each at its latest revision; `reports` get its spots.
+def _recorded(args: argparse.Namespace, reports: list[SpotReport], add: Callable[[FeatureSet], None]) -> None:
+    """Add the sets of a recording, of one vehicle or of all, each at its latest revision; `reports` get its spots.
 
     Refused ones too: a picture that shows no known ground ends the time that the one before it was looked at.
     """
-    if args.seconds is not None:
-        raise UsageError("--seconds is for a live aircraft")
     recording = opened(args.recording)
-    vehicles = recording.vehicles if args.vehicle is None else [vehicle_of(args.vehicle, recording.vehicles)]
+    vehicles = vehicles_of(args.vehicle, recording.vehicles)
     reports += recording.reports(SPOT_REPORTS, vehicles) if args.pod else []
     reported_s = time.monotonic()
     for vehicle in vehicles:
@@ -214,11 +196,11 @@ def _recorded(args: argparse.Namespace, reports: list[SpotReport]) -> Iterator[F
                 print(f"pc-ground: warning: {error}", file=sys.stderr)
                 continue
             if found is not None:
-                yield found
+                add(found)
 
 
-def _live(args: argparse.Namespace, reports: list[SpotReport]) -> Iterator[FeatureSet]:
-    """Yield the sets that come over the link, until a signal or the time ends it; `reports` get the spots."""
+def _live(args: argparse.Namespace, reports: list[SpotReport], add: Callable[[FeatureSet], None]) -> None:
+    """Add the sets that come over the link, until a signal or the time ends it; `reports` get the spots."""
     from ground.client import SetCache  # noqa: PLC0415  zenoh is loaded only where there is a link
 
     tls = tls_of(args)
@@ -228,25 +210,20 @@ def _live(args: argparse.Namespace, reports: list[SpotReport]) -> Iterator[Featu
     def take(key: str, payload: bytes) -> None:
         reports.extend(SPOT_REPORTS.found(key, payload))
 
-    taken_by = {SPOTS.key(vehicle): take} if args.pod else {}
-    with (
-        SetCache(
-            endpoint_of(args, tls),
-            vehicle,
-            tls=tls,
-            max_sets=1,
-            on_set=lambda s, _: came.append(s),
-            subscriptions=taken_by,
-        ),  # fmt: skip
-        until_ended(),
-    ):
-        until = None
-        while until is None or time.monotonic() < until:
+    endpoint = endpoint_of(args, tls)
+    there = Received(endpoint, args.vehicle)
+    taken_by = {STATUS.key(vehicle): there.take} | ({SPOTS.key(vehicle): take} if args.pod else {})
+    cache = SetCache(endpoint, vehicle, tls=tls, max_sets=1, on_set=lambda s, _: came.append(s), subscriptions=taken_by)
+    until_s = None if args.seconds is None else time.monotonic() + args.seconds
+    with cache, until_ended():
+        while until_s is None or time.monotonic() < until_s:
             while came:
-                if until is None and args.seconds is not None:
-                    until = time.monotonic() + args.seconds
-                yield came.popleft()
+                add(came.popleft())
+            there.report(cache.vehicles)
             time.sleep(0.1)
+    while came:
+        add(came.popleft())
+    there.check(cache.vehicles)
 
 
 def _s(count: int) -> str:

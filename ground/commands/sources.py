@@ -32,9 +32,9 @@ if TYPE_CHECKING:
 NO_NAMES = "--file needs --from SESSION.mcap: picture names do not cross the link; use --frame or --time"
 
 
-def add_source_arguments(parser: argparse.ArgumentParser) -> None:
-    """`--vehicle`, `--connect`, `--from` and the link's."""
-    parser.add_argument("--vehicle", metavar="ID", help="needed where several answer")
+def add_source_arguments(parser: argparse.ArgumentParser, vehicle: str = "needed where several answer") -> None:
+    """`--vehicle`, with its help, `--connect`, `--from` and the link's."""
+    parser.add_argument("--vehicle", metavar="ID", help=vehicle)
     source = parser.add_mutually_exclusive_group()
     source.add_argument(
         "--connect",
@@ -306,6 +306,11 @@ def opened(path: Path) -> Recording:
     for line in recording.damage:
         print(f"pc-ground: warning: {line}", file=sys.stderr)
     return recording
+
+
+def vehicles_of(wanted: str | None, vehicles: list[str]) -> list[str]:
+    """The one that is wanted, else all. Raises UsageError."""
+    return vehicles if wanted is None else [vehicle_of(wanted, vehicles)]
 
 
 def vehicle_of(wanted: str | None, vehicles: list[str]) -> str:

@@ -1,6 +1,6 @@
 """`pc-ground spots`: hot spots as things, a line for each that is new or has changed (docs/hot-spots.md).
 
-Exit status: 0 something was found; 3 nothing was, in a recording or in the time given; 2 wrong usage.
+Exit status: ground/commands/listening.py.
 """
 
 from __future__ import annotations
@@ -10,16 +10,14 @@ import json
 import math
 import sys
 import time
-from collections.abc import Iterator
-from pathlib import Path
 
 from contract.geodesy import metres_per_degree
 from contract.spot import SpotReport, person_text
-from contract.topics import ANY_VEHICLE, SPOTS
+from contract.topics import ANY_VEHICLE, SPOTS, STATUS
 from contract.wire.message import SPOT_REPORTS
 from ground.commands import ANSWERED, REFUSED
-from ground.commands.saving import save
-from ground.commands.sources import add_source_arguments, opened, vehicle_of
+from ground.commands.listening import Received, add_listening_arguments, check_listening, write_out
+from ground.commands.sources import opened, vehicles_of
 from ground.commands.until_ended import until_ended
 from ground.commands.values import finite, positive
 from ground.formats import fire_area
@@ -48,33 +46,24 @@ MINUTES = 5.0
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `spots`."""
     parser.add_argument("--all", action="store_true", help="also what one picture alone shows, and every change")
-    parser.add_argument("--json", action="store_true", help="a JSON object a line")
-    parser.add_argument("--seconds", metavar="S", type=positive, help="live: end after so long (default: Ctrl-C)")
-    parser.add_argument(
-        "--out", metavar="FILE", type=Path, help=f"all of them at the end: {', '.join(sorted(set(SAVED)))}"
-    )
     fire = parser.add_argument_group("a fire instead of single things")
     fire.add_argument("--fire", action="store_true", help="the area that burned: .geojson or .kml with --out")
     fire.add_argument("--minutes", metavar="M", type=positive, help=f"in the last minutes (default {MINUTES:g})")
     fire.add_argument(
         "--above", metavar="C", type=finite, help=f"degrees Celsius above which it burns (default {HOT_C:g})"
     )
-    add_source_arguments(parser)
+    add_listening_arguments(parser, SAVED)
 
 
 def run(args: argparse.Namespace) -> int:
     """Print what is found. Raises PointclickError."""
-    endings = fire_area.FORMATS if args.fire else SAVED
-    if args.out is not None and args.out.suffix.lower() not in endings:
-        raise UsageError(f"--out {args.out}: the name must end in {', '.join(sorted(endings))}")
+    check_listening(args, fire_area.FORMATS if args.fire else SAVED, "hot spots do not cross")
     if not args.fire and (args.minutes is not None or args.above is not None):
         raise UsageError("--minutes and --above go with --fire")
     if args.fire:
         return _fire(args)
     received = _recorded(args) if args.recording is not None else _live(args)
     found = [thing for thing in received.things() if args.all or thing.is_sure]
-    if args.out is not None:
-        save(args.out, FORMATS[SAVED[args.out.suffix.lower()]].write([Mark.of_found(thing) for thing in found], None))
     if received.unplaced:
         print(f"spots without a place, where a click has no answer either: {received.unplaced}", file=sys.stderr)
     if received.mean_person_found is not None:
@@ -82,6 +71,9 @@ def run(args: argparse.Namespace) -> int:
     if not found:
         print(f"no hot spot found; pictures searched: {received.pictures}", file=sys.stderr)
         return REFUSED
+    marks = [Mark.of_found(thing) for thing in found]
+    for path in args.out:
+        write_out(args, path, FORMATS[SAVED[path.suffix.lower()]].write(marks, None))
     return ANSWERED
 
 
@@ -94,15 +86,12 @@ def _fire(args: argparse.Namespace) -> int:
             ground.add(report)
         fire = _report_fire(ground, args)
     else:
-        for came in _reports(args):
-            for report in came:
-                ground.add(report)
-            fire = _report_fire(ground, args)
+        fire = _live_fire(ground, args)
     if fire is None:
         print("no picture shows a fire with its outline", file=sys.stderr)
         return REFUSED
-    if args.out is not None:
-        save(args.out, fire_area.write(fire, args.out.name))
+    for path in args.out:
+        write_out(args, path, fire_area.write(fire, path.name))
     return ANSWERED
 
 
@@ -113,30 +102,36 @@ def _report_fire(ground: FireGround, args: argparse.Namespace) -> Fire | None:
     return fire
 
 
-def _reports(args: argparse.Namespace) -> Iterator[list[SpotReport]]:
-    """Yield every FIRE_S the reports that came over the link since the last time, until a signal or the time ends."""
+def _live_fire(ground: FireGround, args: argparse.Namespace) -> Fire | None:
+    """Print the fire every FIRE_S by what came over the link, until a signal or the time ends it; the last one."""
     from ground.client import SetCache  # noqa: PLC0415  zenoh is loaded only where there is a link
 
     tls, vehicle, came = tls_of(args), args.vehicle or ANY_VEHICLE, list[SpotReport]()
+    endpoint = endpoint_of(args, tls)
+    there = Received(endpoint, args.vehicle)
 
     def take(key: str, payload: bytes) -> None:
         came.extend(SPOT_REPORTS.found(key, payload))
 
+    fire: Fire | None = None
     began_s = time.monotonic()
-    taken_by = {SPOTS.key(vehicle): take}
-    with SetCache(endpoint_of(args, tls), vehicle, tls=tls, max_sets=1, subscriptions=taken_by), until_ended():
+    taken_by = {SPOTS.key(vehicle): take, STATUS.key(vehicle): there.take}
+    with SetCache(endpoint, vehicle, tls=tls, max_sets=1, subscriptions=taken_by) as cache, until_ended():
         while args.seconds is None or time.monotonic() < began_s + args.seconds:
             time.sleep(FIRE_S if args.seconds is None else min(FIRE_S, args.seconds))
+            there.report(cache.vehicles)
             taken, came[:] = list(came), []
-            yield taken
+            for report in taken:
+                ground.add(report)
+            fire = _report_fire(ground, args)
+    there.check(cache.vehicles)
+    return fire
 
 
 def _in_recording(args: argparse.Namespace) -> list[SpotReport]:
     """The reports of one vehicle in a recording, or of all, in the order of capture."""
-    if args.seconds is not None:
-        raise UsageError("--seconds is for a live aircraft")
     recording = opened(args.recording)
-    vehicles = recording.vehicles if args.vehicle is None else [vehicle_of(args.vehicle, recording.vehicles)]
+    vehicles = vehicles_of(args.vehicle, recording.vehicles)
     return sorted(recording.reports(SPOT_REPORTS, vehicles), key=lambda report: report.capture_unix_ns)
 
 
@@ -155,18 +150,22 @@ def _live(args: argparse.Namespace) -> ReceivedSpots:
     from ground.client import SetCache  # noqa: PLC0415  zenoh is loaded only where there is a link
 
     tls, vehicle, received = tls_of(args), args.vehicle or ANY_VEHICLE, ReceivedSpots()
+    endpoint = endpoint_of(args, tls)
+    there = Received(endpoint, args.vehicle)
     until_s = None if args.seconds is None else time.monotonic() + args.seconds
     reported: dict[int, FoundThing] = {}
     version = 0
-    filled = subscriptions(vehicle, received)
-    with SetCache(endpoint_of(args, tls), vehicle, tls=tls, max_sets=1, subscriptions=filled), until_ended():
+    filled = {STATUS.key(vehicle): there.take, **subscriptions(vehicle, received)}
+    with SetCache(endpoint, vehicle, tls=tls, max_sets=1, subscriptions=filled) as cache, until_ended():
         while until_s is None or time.monotonic() < until_s:
+            there.report(cache.vehicles)
             version, changed = received.since(version)
             for thing in changed:
                 if args.all or (thing.is_sure and is_news(thing, reported.get(thing.number))):
                     reported[thing.number] = thing
                     _print_thing(thing, args)
             time.sleep(LOOK_S)
+    there.check(cache.vehicles)
     return received
 
 

@@ -1,6 +1,6 @@
 """`pc-ground track`: what is at a pixel is followed by the aircraft, and each report of it is a line.
 
-Exit status: 0 ended by the user or by the time given, or the thing was lost; 3 refused with the reason; 2 wrong usage.
+Exit status: ground/commands/listening.py; 0 too where the thing was lost in the end, 3 where the aircraft refuses.
 """
 
 from __future__ import annotations
@@ -8,23 +8,22 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from contract import track_age
 from contract.errors import LinkError
-from contract.topics import DEFAULT_ENDPOINT
 from contract.track import ListTracks, StartTrack, StopTrack, TrackReport, TrackState, Unseen
 from contract.track_age import as_of
 from contract.wire.message import TRACK_REPORTS
 from ground.commands import ANSWERED, REFUSED
-from ground.commands.saving import save
-from ground.commands.sources import opened, vehicle_of
+from ground.commands.listening import add_listening_arguments, check_listening, write_out
+from ground.commands.sources import opened, vehicles_of
 from ground.commands.until_ended import until_ended
-from ground.commands.values import finite, frame_number, positive, whole
+from ground.commands.values import finite, frame_number, whole
 from ground.commands.warnings import Warnings
 from ground.formats import track_path
-from ground.link_options import UsageError, add_tls_arguments, endpoint_of, tls_of
+from ground.formats.documents import one_line
+from ground.link_options import UsageError, endpoint_of, tls_of
 
 if TYPE_CHECKING:
     from ground.track_link import TrackLink
@@ -54,17 +53,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     which.add_argument("--list", action="store_true", help="the numbers of all tracks, and end")
     which.add_argument("--stop", metavar="N", type=lambda t: whole(t, "track"), help="end track N")
     parser.add_argument("--leave", action="store_true", help="the track goes on when this command ends")
-    parser.add_argument("--seconds", metavar="S", type=positive, help="end after so long")
     parser.add_argument("--count", metavar="N", type=lambda t: whole(t, "count"), help="end after so many reports")
-    parser.add_argument("--out", metavar="FILE", type=Path, help="write the path at the end: .geojson or .kml")
-    parser.add_argument("--json", action="store_true", help="a JSON object a line")
-    parser.add_argument("--vehicle", metavar="NAME", help="the aircraft, where there are several")
-    source = parser.add_mutually_exclusive_group()
-    source.add_argument("--connect", metavar="ENDPOINT", help=f"zenoh endpoint (default {DEFAULT_ENDPOINT})")
-    source.add_argument(
-        "--from", dest="recording", metavar="SESSION.mcap", type=Path, help="what was followed in a recorded flight"
+    add_listening_arguments(
+        parser,
+        track_path.FORMATS,
+        "only this aircraft (default: all of a recording; live, needed where several answer)",
     )
-    add_tls_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -75,8 +69,7 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError("--frame goes with U and V")
     if args.u is not None and (args.list or args.stop is not None):
         raise UsageError("--list and --stop go without U and V")
-    if args.out is not None and args.out.suffix.lower() not in track_path.FORMATS:
-        raise UsageError(f"--out {args.out}: a name that ends with .geojson or .kml")
+    check_listening(args, track_path.FORMATS, "nothing can be followed through")
     if args.recording is not None:
         return _recorded(args)
     from ground.put_request import RequestRefused  # noqa: PLC0415  zenoh is loaded only where there is a link
@@ -102,24 +95,30 @@ def run(args: argparse.Namespace) -> int:
             _listen(link, number, args, kept)
         if number is not None and not args.leave and not (kept and kept[-1].state is TrackState.LOST):
             _stop(link, number)
-    if args.out is not None:
-        save(args.out, track_path.write(kept, args.out.name))
+        if number is None and not kept:
+            link.ask(ListTracks())  # raises where there is no such aircraft
+            print("nothing is followed", file=sys.stderr)
+            return REFUSED
+    for path in args.out:
+        write_out(args, path, track_path.write(kept, path.name))
     return ANSWERED
 
 
 def _recorded(args: argparse.Namespace) -> int:
     """Every report of a recording. Raises PointclickError."""
-    if args.u is not None or args.list or args.stop is not None:
-        raise UsageError("--from shows what was followed in flight: without U, V, --list and --stop")
+    if args.u is not None or args.list or args.stop is not None or args.leave or args.count is not None:
+        raise UsageError("--from shows what was followed in flight: without U, V, --list, --stop, --leave and --count")
     recording = opened(args.recording)
-    reports = recording.reports(TRACK_REPORTS, [vehicle_of(args.vehicle, recording.vehicles)])
+    vehicles = vehicles_of(args.vehicle, recording.vehicles)
+    reports = recording.reports(TRACK_REPORTS, vehicles)
     for report in reports:
-        print(report.to_json() if args.json else report.to_text())
-    if args.out is not None:
-        save(args.out, track_path.write(reports, args.out.name))
+        whose = f"{one_line(report.vehicle)} " if len(vehicles) > 1 else ""
+        print(report.to_json() if args.json else whose + report.to_text())
     if not reports:
         print("nothing was followed in this flight", file=sys.stderr)
         return REFUSED
+    for path in args.out:
+        write_out(args, path, track_path.write(reports, path.name))
     return ANSWERED
 
 
@@ -143,7 +142,7 @@ def _listen(link: TrackLink, number: int | None, args: argparse.Namespace, kept:
                 warnings.show([f"dropped, reports of a session that does not run: {link.left_out} messages"])
             continue
         received_s = time.monotonic()
-        if args.out is None or len(kept) >= MOST_KEPT:
+        if not args.out or len(kept) >= MOST_KEPT:
             kept[:] = kept[: MOST_KEPT - 1 if args.out else 0]
         kept.append(report)
         count += 1

@@ -175,11 +175,11 @@ def test_what_was_seen_is_counted_from_the_link(link: str, tmp_path: Path, capsy
             out.write_set(s)
     assert main(["seen", "--from", str(kept), "--cell", "4"]) == 0
     recorded = capsys.readouterr().out
-    assert main(["seen", "--connect", link, "--vehicle", "uav-1", "--seconds", "2", "--cell", "4"]) == 0
-    assert capsys.readouterr().out == recorded
+    live = ["seen", "--connect", link, "--vehicle", "uav-1", "--seconds", "3", "--cell", "4"]
+    assert eventually(lambda: main(live) == 0 and capsys.readouterr().out == recorded)
     assert f"in {len(SETS)} pictures of uav-1" in recorded
-    assert main(["seen", "--connect", link, "--vehicle", "uav-1", "--seconds", "2", "--cell", "4", "--pod"]) == 0
-    assert f"{len(SETS)} of {len(SETS)} pictures searched" in capsys.readouterr().out
+    searched = f"{len(SETS)} of {len(SETS)} pictures searched"
+    assert eventually(lambda: main([*live, "--pod"]) == 0 and searched in capsys.readouterr().out)
 
 
 def test_lines_are_answered_from_the_link(
