@@ -102,13 +102,19 @@ export class MapPane {
     if (on) this.centre(this.state.shown);
   }
 
+  /** About what is brought into view; with more than half of a small map there would be no place that fits. */
+  private padding(): number {
+    const { clientWidth: width, clientHeight: height } = this.map.getCanvas();
+    return Math.min(60, 0.2 * Math.min(width, height));
+  }
+
   private fit(): void {
     const bounds = new maplibregl.LngLatBounds();
     for (const pin of this.state.pins.values()) for (const p of placesOf(pin)) bounds.extend([p.lon_deg, p.lat_deg]);
     for (const place of this.state.paths.get(this.state.vehicle ?? "") ?? []) bounds.extend(place);
     for (const place of this.state.shown?.footprint ?? []) bounds.extend(place);
     this.follow(false);
-    if (!bounds.isEmpty()) this.map.fitBounds(bounds, { padding: 50, maxZoom: 20, duration: 300 });
+    if (!bounds.isEmpty()) this.map.fitBounds(bounds, { padding: this.padding(), maxZoom: 20, duration: 300 });
   }
 
   /** Until the first picture: where there are tiles, else what was looked at last. */
@@ -235,7 +241,7 @@ export class MapPane {
     for (const place of shown.footprint) bounds.extend(place);
     if (!this.hasView) {
       this.hasView = true;
-      this.map.fitBounds(bounds, { padding: { top: 60, bottom: 60, left: 60, right: 60 }, maxZoom: 21, duration: 0 });
+      this.map.fitBounds(bounds, { padding: this.padding(), maxZoom: 21, duration: 0 });
     } else if (this.isFollowing && this.isAside(bounds.getCenter())) {
       this.map.easeTo({ center: bounds.getCenter(), duration: 250 });
     }
