@@ -18,6 +18,7 @@ MAX_BYTES = 400
 MAX_STATE = 24
 MAX_REASON = 50
 MAX_LOOK = 80
+MAX_HEAT = 64
 MAX_SHARES = 3
 MAX_CODE = 12
 
@@ -43,9 +44,16 @@ class VehicleStatus:
     follows: bool = False  # whether it follows what it is asked to (`contract.track`)
     looks: bool = False  # whether anybody may have its camera look at a place (`contract.look`)
     look: str = ""  # who had it look where last, and what the autopilot made of it
+    heat: str = ""  # the state of a second camera, for hot spots, and why; empty where it is well or there is none
     # Of a click's variance in the middle of the newest picture, per cent by code (`contract.error_sources`); the
     # largest, or none while they are not known.
     shares: Mapping[str, int] = field(default_factory=dict)
+
+    @property
+    def amiss(self) -> str:
+        """The state of a second camera in words, where the reason of the state is another; else empty."""
+        known = not self.heat or self.reason.startswith("thermal camera")
+        return "" if known else f"no hot spots: thermal camera {self.heat}"
 
     @property
     def fractions(self) -> dict[str, float]:
@@ -60,7 +68,8 @@ def encode_status(status: VehicleStatus) -> bytes:
         content[key] = _number(content[key], digits)
     content["state"], content["reason"] = status.state[:MAX_STATE], _plain(status.reason)[:MAX_REASON]
     content["look"] = _plain(status.look)[:MAX_LOOK]
-    for key in ("follows", "looks", "look"):
+    content["heat"] = _plain(status.heat)[:MAX_HEAT]
+    for key in ("follows", "looks", "look", "heat"):
         if not content[key]:
             del content[key]
     if status.shares:
@@ -123,12 +132,12 @@ def decode_status(payload: bytes) -> VehicleStatus:
 def _check_sizes(values: Mapping[str, Any]) -> None:
     if len(values["state"]) > MAX_STATE or len(values.get("reason", "")) > MAX_REASON:
         raise CorruptPayload("status with a state or reason too long")
-    if len(values.get("look", "")) > MAX_LOOK:
-        raise CorruptPayload("status with a look too long")
+    if len(values.get("look", "")) > MAX_LOOK or len(values.get("heat", "")) > MAX_HEAT:
+        raise CorruptPayload("status with a look or heat too long")
     if len(values.get("shares", {})) > MAX_SHARES:
         raise CorruptPayload(f"status with more than {MAX_SHARES} shares")
-    if not all(text.isprintable() for text in (values["state"], values.get("reason", ""), values.get("look", ""))):
-        raise CorruptPayload("status with a state, reason or look that cannot be printed")
+    if not all(str(values.get(key, "")).isprintable() for key in ("state", "reason", "look", "heat")):
+        raise CorruptPayload("status with a state, reason, look or heat that cannot be printed")
 
 
 def _is_whole(value: object) -> bool:

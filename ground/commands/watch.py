@@ -69,6 +69,7 @@ class Row:
     cpu_c: float | None
     radius: str = ""  # what the ellipse is mostly from, and what would make it smaller; empty: not known
     look: str = ""  # who had its camera look where last
+    heat: str = ""  # the state of a second camera, for hot spots, that is not well
     person_found: float | None = None  # share of the ground in view on which the search for heat finds a person
 
     def to_json(self) -> str:
@@ -206,7 +207,7 @@ def _row(
         parts = [f"nothing received for {span(age_s)}" if is_certain else "", doubt, f"last: {state}" if state else ""]
         state = "no link" if is_certain else "old?"
     else:
-        parts = [reason, doubt]
+        parts = [reason, doubt, "" if status is None else status.amiss]
     reason = "; ".join(text for text in parts if text)
     is_placed = newest is not None and newest.is_ok
     height = None
@@ -221,7 +222,7 @@ def _row(
         status.tracks if status is not None else len(newest) if newest is not None else None, ce90,
         None if newest is None else newest.frame, None if status is None else status.cpu_c,
         "" if status is None or not is_placed else in_a_line(status.fractions),
-        "" if status is None else status.look,
+        "" if status is None else status.look, "" if status is None else status.heat,
     )  # fmt: skip
 
 
@@ -244,7 +245,7 @@ def _recent(spots: ReceivedSpots) -> list[FoundThing]:
 def _show(
     rows: list[Row], followed: Sequence[TrackReport], found: ReceivedSpots, as_json: bool, is_screen: bool
 ) -> None:
-    rows = [replace(row, person_found=found.person_found(row.vehicle)) for row in rows]
+    rows = [replace(row, person_found=None if row.heat else found.person_found(row.vehicle)) for row in rows]
     things: list[TrackReport | FoundThing] = [*followed, *_recent(found)]
     if as_json:
         for line in [*(row.to_json() for row in rows), *(thing.to_json() for thing in things)]:

@@ -181,7 +181,7 @@ def vehicle_json(context: ServerContext, vehicle: str) -> dict[str, Any]:
         "is_live": context.source.is_live,
         "frame": report.newest_frame,
         "state": _state(report, found),
-        "words": _words(report, found),
+        "words": "; ".join(text for text in (_words(report, found), "" if status is None else status.amiss) if text),
         "is_lost": report.received_age_s is not None and report.received_age_s > LOST_S,
         "picture_age_s": _rounded(report.picture_age_s),
         "clock_unix_ns": _clock(report, found),
@@ -200,7 +200,9 @@ def vehicle_json(context: ServerContext, vehicle: str) -> dict[str, Any]:
         "unfollowed": context.source.unfollowed(vehicle),
         "unlooked": context.source.unlooked(vehicle),
         "look": "" if status is None else status.look,
-        "person_found": context.source.views.spots.person_found(vehicle),
+        "person_found": None
+        if status is not None and status.heat  # what was searched last is no more
+        else context.source.views.spots.person_found(vehicle),
         "radius": "" if status is None else in_a_line(status.fractions),
     }
 

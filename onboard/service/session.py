@@ -41,7 +41,7 @@ from onboard.service.reports import (
 )
 from onboard.service.standstill import Standstill
 from onboard.service.supervision import Supervisor
-from onboard.service.vehicle_state import STUCK_S, Inputs, judge, overall
+from onboard.service.vehicle_state import STUCK_S, Inputs, judge, overall, second_in_brief
 from onboard.storage.alignment_file import StateFile
 
 IDLE_S = 0.2  # the pipeline's thread looks up this often when nothing comes
@@ -231,6 +231,7 @@ class Session:
             follows=self._follows,
             looks=self.parts.look is not None,
             look="" if self.parts.look is None else self.parts.look(),
+            heat=second_in_brief(inputs.thermal_camera),
         )
         return Report(
             status,

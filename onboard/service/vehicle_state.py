@@ -191,6 +191,15 @@ def second_findings(thermal_camera: SourceStatus | None) -> tuple[Finding, ...]:
     return (Finding(Subject.THERMAL_CAMERA, VehicleState.DEGRADED, reason),)
 
 
+def second_in_brief(thermal_camera: SourceStatus | None) -> str:
+    """Return the state of a second camera that is not well, and why, without the device's name; else an empty text."""
+    if thermal_camera is None or thermal_camera.state is State.OK:
+        return ""
+    device, _, rest = thermal_camera.detail.partition(": ")
+    why = rest if rest and " " not in device else thermal_camera.detail
+    return f"{thermal_camera.state.value}: {why}" if why else str(thermal_camera.state.value)
+
+
 def gps_findings(gps: GpsReport | None) -> tuple[Finding, ...]:
     """Return the findings on the receiver's own report, as the state holds them when nothing worse is wrong."""
     if gps is None:

@@ -9,7 +9,15 @@ from hypothesis import strategies as st
 
 from contract.error_sources import Cause
 from contract.errors import CorruptPayload, NewerPayload, WireError
-from contract.vehicle_status import MAX_BYTES, MAX_LOOK, MAX_REASON, VehicleStatus, decode_status, encode_status
+from contract.vehicle_status import (
+    MAX_BYTES,
+    MAX_HEAT,
+    MAX_LOOK,
+    MAX_REASON,
+    VehicleStatus,
+    decode_status,
+    encode_status,
+)
 
 FLYING = VehicleStatus(
     1_700_000_000.125, 1_700_000_000, "ok", "", 912.0, 29.9, 28.5, 27_312, 0.085, 97, 12, 3, True, 61.0
@@ -34,6 +42,7 @@ STATUSES = st.builds(
     follows=st.booleans(),
     looks=st.booleans(),
     look=st.text(max_size=100),
+    heat=st.text(max_size=100),
     shares=st.dictionaries(st.sampled_from(list(Cause)).map(str), st.integers(0, 100), max_size=3),
 )
 
@@ -66,6 +75,16 @@ def test_a_long_reason_is_worth_more_than_shares() -> None:
     back = decode_status(encode_status(full))
     assert back.reason == full.reason and len(back.shares) < 3
     assert list(back.shares) == ["attitude", "gpsnoise"][: len(back.shares)]
+
+
+def test_a_second_camera_is_named_where_the_state_has_another_reason() -> None:
+    """Before, whoever watched from the ground learned of it only where nothing else was amiss."""
+    lost = replace(FLYING, state="turning", reason="too fast", heat="lost: no picture for 3.0 s")
+    back = decode_status(encode_status(lost))
+    assert back.amiss == "no hot spots: thermal camera lost: no picture for 3.0 s"
+    assert replace(back, reason="thermal camera: lost, so no hot spots (x)").amiss == replace(back, heat="").amiss == ""
+    with pytest.raises(CorruptPayload, match="heat"):
+        decode_status(changed(heat="x" * (MAX_HEAT + 1)))
 
 
 @pytest.mark.parametrize(

@@ -86,6 +86,7 @@ class FlyingSource:
         self.looked: list[LookRequest] = []
         self.look_refusal = ""  # of the next confirmation
         self.look_words = ""  # what the aircraft reports of who had it look where
+        self.heat = ""  # what it reports of a second camera
         self.measure: Callable[[FeatureSet, tuple[float, float]], FeatureSet] = not_measured
         self._lock = threading.Lock()
         self._first = rendered_set(0)
@@ -132,7 +133,7 @@ class FlyingSource:
         """Well."""
         shares = {"mount": 60, "gps": 21}
         status = VehicleStatus(
-            0.0, self._first.session, "ok", tracks=120, cpu_c=61.0, shares=shares, look=self.look_words
+            0.0, self._first.session, "ok", tracks=120, cpu_c=61.0, shares=shares, look=self.look_words, heat=self.heat
         )
         return VehicleReport(
             vehicle, self._first.session, self._count - 1, self.silent_s, self.silent_s, 1.0, 9000.0, status

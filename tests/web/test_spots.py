@@ -92,6 +92,16 @@ def test_a_find_becomes_a_pin_with_its_source_or_is_dismissed_and_both_are_undon
         assert client.get("/api/spots/1/crop").headers["content-type"] == "image/jpeg"
 
 
+def test_a_second_camera_that_is_lost_is_named_and_nothing_is_claimed_of_its_search(tmp_path: Path) -> None:
+    """Before, the share of the last picture that it had searched stayed there."""
+    with api(tmp_path) as (client, source):
+        source.views.spots.add([report(0), report(1)])
+        source.heat = "lost: no picture for 3.0 s"
+        state = client.get("/api/status").json()["vehicles"][0]
+    assert "no hot spots: thermal camera lost: no picture for 3.0 s" in state["words"]
+    assert state["person_found"] is None
+
+
 def test_what_one_server_dismissed_another_that_has_its_pins_does_not_show(tmp_path: Path) -> None:
     """Pins are shared with their tombstones; the other server numbers its finds in its own way."""
     with api(tmp_path) as (client, source):

@@ -21,6 +21,7 @@ from contract.vehicle_status import VehicleStatus, encode_status
 from contract.wire.codec import encode
 from contract.wire.spot_code import encode_spots
 from ground.__main__ import main
+from ground.commands.watch import _row
 from ground.link_recorder import LinkRecorder
 from ground.recording import Recording
 from onboard.link.certificates import make_credentials
@@ -165,6 +166,11 @@ def test_watching_shows_state_age_rate_position_and_accuracy(link: Link, capsys:
 
     assert eventually(is_a_table), out
     assert out[0].split()[:4] == ["vehicle", "state", "age", "rate"] and out[1].startswith("uav-1")
+
+
+def test_a_second_camera_that_is_lost_is_in_the_row_next_to_the_reason() -> None:
+    status = VehicleStatus(START_NS / 1e9, 7, "turning", "too fast", heat="lost: unplugged")
+    assert _row("uav-1", None, status, 0.1, None).reason == "too fast; no hot spots: thermal camera lost: unplugged"
 
 
 def test_what_was_seen_is_counted_from_the_link(link: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -21,6 +21,7 @@ from onboard.service.vehicle_state import (
     is_alive,
     judge,
     overall,
+    second_in_brief,
     severity,
 )
 from tests.onboard.service.reported import inputs, unhurried
@@ -178,3 +179,18 @@ def test_people_are_warned_of_faults_louder_than_of_flying() -> None:
     assert severity(VehicleState.OK) is severity(VehicleState.STARTING) is Severity.NOTICE
     assert severity(VehicleState.CAMERA_LOST) is severity(VehicleState.NO_GPS) is Severity.WARNING
     assert severity(VehicleState.STUCK) is Severity.ERROR
+
+
+@pytest.mark.parametrize(
+    ("status", "text"),
+    [
+        (None, ""),
+        (OK, ""),
+        (LOST, "lost: unplugged"),
+        (SourceStatus(State.LOST, "/dev/v4l/by-id/usb-x: no picture for 3.0 s"), "lost: no picture for 3.0 s"),
+        (SourceStatus(State.DEGRADED, "pictures are 80x60, the camera file is for 160x120: none is used"),
+         "degraded: pictures are 80x60, the camera file is for 160x120: none is used"),
+    ],
+)  # fmt: skip
+def test_the_link_has_of_a_second_camera_its_state_and_why(status: SourceStatus | None, text: str) -> None:
+    assert second_in_brief(status) == text
