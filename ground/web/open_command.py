@@ -37,7 +37,7 @@ PICTURES = "recording.pictures"
 UNKNOWN = "NOT KNOWN"  # in the list that an import prints, of values that were assumed with a wide sigma
 DONE, NOTHING_SOLVED = 0, 3
 PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
-VIDEO_SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".ts", ".webm")
+VIDEO_SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".ts", ".m2ts", ".mts", ".mpg", ".mpeg", ".webm")
 IMPORT = "clock searched"  # how flights are imported now: one that was imported otherwise is not shown again
 
 
