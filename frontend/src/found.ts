@@ -6,6 +6,7 @@ import { within } from "./format.js";
 import { toPane, type View } from "./mapping.js";
 import { shortFind } from "./map-tracks.js";
 import { placeIn } from "./projection.js";
+import { newFinds } from "./news.js";
 import type { State } from "./state.js";
 import type { FoundSpot, FrameView } from "./types.js";
 
@@ -45,7 +46,7 @@ export class FoundList {
   private readonly count = make("span", { "data-testid": "found-count" });
   private readonly mute = make("button", { type: "button", "data-testid": "mute", click: () => this.state.set({ isMuted: !this.state.options.isMuted }) });
   private readonly rows = new Map<number, HTMLElement>();
-  private readonly known = new Set<number>();
+  private readonly known = new Map<number, string>(); // by number, when it was first seen
   private isBegun = false; // what was there when the page was opened is no news
   private quiet = 0;
 
@@ -65,8 +66,7 @@ export class FoundList {
 
   private draw(): void {
     const spots = this.state.openSpots(), open = new Set(spots.map((spot) => spot.spot));
-    const news = spots.filter((spot) => !this.known.has(spot.spot));
-    for (const spot of news) this.known.add(spot.spot);
+    const news = newFinds(this.known, spots);
     spots.forEach((spot, k) => {
       let row = this.rows.get(spot.spot);
       if (row === undefined) {
@@ -114,7 +114,7 @@ export class FoundList {
     if (crop.getAttribute("src") !== url) { crop.classList.remove("none"); crop.setAttribute("src", url); }
     const above = spot.above_ground_k, isHeat = spot.kind === null && spot.temperature_c !== null && above !== null;
     const hot = isHeat ? `${shortFind(spot)} (${above >= 0 ? "+" : ""}${above.toFixed(1)} K)` : spot.heat;
-    setText(words, `${spot.spot}  ${hot}, ${within(spot.ce90_m)}, ${spot.motion}, ${spot.pictures} pictures`);
+    setText(words, `${spot.spot}  ${hot}, ${within(spot.ce90_m)}, ${spot.motion}, seen in ${spot.pictures} picture${spot.pictures === 1 ? "" : "s"}`);
   }
 }
 

@@ -9,11 +9,12 @@ import { course, declination } from "../src/from-me.js";
 import { affine, layout } from "../src/ground-picture.js";
 import { groupTitle, isWanted } from "../src/fleet.js";
 import { gridLines, gridStep } from "../src/grid.js";
+import { newFinds } from "../src/news.js";
 import { age, decimals, degrees, methodWords, radius, stepText, within } from "../src/format.js";
 import { State } from "../src/state.js";
 import { bandOf, trackFeatures } from "../src/map-tracks.js";
 import { asOf, mergeReports, tracksAt, trackWords } from "../src/tracks.js";
-import type { FrameView, GroundMesh, Pin, PlaceAnswer, TrackReport, VehicleState } from "../src/types.js";
+import type { FoundSpot, FrameView, GroundMesh, Pin, PlaceAnswer, TrackReport, VehicleState } from "../src/types.js";
 
 const PICTURE = { width: 640, height: 480 };
 
@@ -333,4 +334,15 @@ test("a bearing is from true north, and the compass differs by what the World Ma
   near((await declination({ lat_deg: 80, lon_deg: 0, height_m: 0 }, new Date("2025-01-01")))!, 1.28, 0.05);
   near((await declination({ lat_deg: -80, lon_deg: 240, height_m: 0 }, new Date("2027-07-02")))!, 68.49, 0.05);
   assert.equal(await declination(here, new Date("2031-01-01")), null);
+});
+
+test("a find is new once, and another one of its number after the server began again is new too", () => {
+  const known = new Map<number, string>();
+  const find = (spot: number, first_utc: string): FoundSpot => ({ spot, first_utc }) as FoundSpot;
+  const first = find(1, "2026-11-30T10:00:00.000000Z"), second = find(2, "2026-11-30T10:00:05.000000Z");
+  assert.deepEqual(newFinds(known, [first]), [first]);
+  assert.deepEqual(newFinds(known, [first, second]), [second]);
+  assert.deepEqual(newFinds(known, [find(1, "2026-11-30T09:59:58.000000Z"), second]), []);  // an earlier look came late
+  const other = find(1, "2026-11-30T11:00:00.000000Z");
+  assert.deepEqual(newFinds(known, [other]), [other]);
 });

@@ -142,7 +142,7 @@ def test_the_pages_own_arithmetic_is_right(tmp_path: Path) -> None:
         )
         assert done.returncode == 0, done.stdout + done.stderr
     assert "# fail 0" in done.stdout
-    assert "# pass 23" in done.stdout
+    assert "# pass 24" in done.stdout
 
 
 def test_the_page_is_built_from_what_is_here_and_names_no_other_origin() -> None:

@@ -169,6 +169,7 @@ def test_a_find_alarms_is_confirmed_or_dismissed_and_the_sound_can_be_muted(
     assert eventually(lambda: anna.by("spot-mark").count() == 2)
     assert sorted(anna.by("spot-mark").all_inner_texts()) == ["1 36.5 °C", "2 52.0 °C"]
     page.wait_for_function("() => (document.querySelector('#map').dataset.tracks ?? '').includes('52.0 °C')")
+    assert page.evaluate("window.tones") == 6  # each once: the first was seen again
     for button in ("confirm", "dismiss"):
         assert anna.by(button).first.bounding_box()["height"] >= 40.0
     anna.by("mute").click()
@@ -182,6 +183,9 @@ def test_a_find_alarms_is_confirmed_or_dismissed_and_the_sound_can_be_muted(
     rows = {row.get_attribute("data-spot"): row.bounding_box()["y"] for row in anna.by("found").all()}
     assert rows["3"] < rows["2"] < rows["1"]
     assert "a person, 90 % likely, 20.0 degC" in page.locator("[data-spot='3'] .track-words").inner_text()
+    assert "seen in 2 pictures" in page.locator("[data-spot='3'] .track-words").inner_text()
+    crop = page.locator("[data-spot='3'] img.crop")
+    assert crop.get_attribute("src").startswith("/api/spots/3/crop")
     page.keyboard.press("1")
     page.locator("[data-spot='2'] [data-testid=confirm]").click()
     anna.wait_for_pins(1)
