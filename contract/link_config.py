@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from contract.callback_threads import awaited_at_exit
 from contract.errors import LinkError
 from contract.look import look_key
 from contract.topics import ANY_VEHICLE, FOLLOW, TOPICS
@@ -88,6 +89,7 @@ def link_config(
     is taken: LinkError. Others have `rights` at an aircraft by their certificates: without `tls` no one has
     a name, all may listen, ask and have things followed, and no one may have the camera look somewhere.
     """
+    awaited_at_exit()  # what has a session has callbacks
     is_client = mode == "client"
     # What the system buffers while a link is cut is delay when it is back: a small buffer, and small batches.
     streams: dict[str, Any] = {"so_sndbuf": 8192} if is_aircraft else {}
