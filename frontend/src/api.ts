@@ -1,6 +1,6 @@
 // Requests to the server that served the page, and its events.
 
-import type { ClickBody, CoordinateReply, FireReply, FoundSpot, FrameRow, FrameView, Handoff, LookOffer, News, Pin, PinReply, PlaceReply, Seen, SeenAt, SeenDetection, SeenPicture, SeenState, ServerEvent, ServerStatus, Tie } from "./types.js";
+import type { AreaPlan, AreaState, AreaView, ClickBody, CoordinateReply, FireReply, FoundSpot, FrameRow, FrameView, Handoff, LookOffer, News, Pin, PinReply, PlaceReply, Seen, SeenAt, SeenDetection, SeenPicture, SeenState, ServerEvent, ServerStatus, Tie } from "./types.js";
 
 export class Refused extends Error {
   constructor(readonly status: number, message: string, readonly body: unknown) { super(message); }
@@ -52,6 +52,10 @@ export const api = {
   look: (body: ClickBody) => asked<LookOffer>("/api/look", "POST", body),
   lookConfirm: (body: { vehicle: string; ticket: string; waited_s: number }) => asked<unknown>("/api/look/confirm", "POST", body),
   lookAhead: (vehicle: string) => asked<unknown>("/api/look/ahead", "POST", { vehicle }),
+  area: () => asked<AreaState>("/api/tiles"),
+  planArea: (view: AreaView) => asked<AreaPlan>("/api/tiles/plan", "POST", view),
+  downloadArea: (body: AreaView & { deepest: number }) => asked<AreaState>("/api/tiles/download", "POST", body),
+  cancelArea: () => asked<AreaState>("/api/tiles/download", "DELETE"),
   fire: (minutes: string) => asked<FireReply>(`/api/fire?minutes=${minutes}`),
   confirmSpot: (spot: number, body: { category: string; who: string }) => asked<Pin>(`/api/spots/${spot}/confirm`, "POST", body),
   dismissSpot: (spot: number, who: string) => asked<unknown>(`/api/spots/${spot}/dismiss`, "POST", { who }),

@@ -27,12 +27,15 @@ export async function baseMap(tiles: Tiles): Promise<BaseMap> {
     const about = await answer.json() as { tiles: string[]; minzoom?: number; maxzoom?: number; bounds?: Bounds; attribution?: string; vector_layers?: unknown };
     const zooms = { minzoom: about.minzoom ?? 0, ...(about.maxzoom === undefined ? {} : { maxzoom: about.maxzoom }) };
     const bounds = about.bounds === undefined ? null : known(about.bounds);
-    const source = { tiles: about.tiles, ...zooms, ...(bounds === null ? {} : { bounds }), ...(about.attribution === undefined ? {} : { attribution: plain(about.attribution) }) };
+    const source = { tiles: about.tiles, ...zooms, ...(bounds === null ? {} : { bounds }), ...(about.attribution === undefined ? {} : { attribution: plain(about.attribution) }), ...common };
     return made(source, about.vector_layers !== undefined, bounds, zooms.minzoom, null);
   }
-  const zooms = { ...(tiles.max_zoom > 0 ? { maxzoom: tiles.max_zoom } : {}), minzoom: tiles.min_zoom, ...(tiles.bounds === null ? {} : { bounds: tiles.bounds }) };
-  const url = tiles.kind === "mbtiles" ? `${location.origin}${tiles.url}` : tiles.url;
-  return made({ tiles: [url], ...zooms, ...common }, tiles.format === "pbf", tiles.bounds, tiles.min_zoom, null);
+  // What was downloaded of an address: the map begins there, and the server sends on to the address for the rest.
+  const zooms = { ...(tiles.max_zoom > 0 ? { maxzoom: tiles.max_zoom } : {}), minzoom: tiles.min_zoom, ...(tiles.bounds === null || tiles.kind === "kept" ? {} : { bounds: tiles.bounds }) };
+  const url = tiles.kind === "mbtiles" || tiles.kind === "kept" ? `${location.origin}${tiles.url}` : tiles.url;
+  // The map's own zooms count tiles of 512 pixels, images have 256.
+  const isVector = tiles.format === "pbf", first = tiles.kept_from === undefined ? tiles.min_zoom : tiles.kept_from - (isVector ? 0 : 1);
+  return made({ tiles: [url], ...zooms, ...common }, isVector, tiles.bounds, first, null);
 }
 
 function made(source: object, isVector: boolean, bounds: Bounds | null, minZoom: number, archive: PMTiles | null): BaseMap {

@@ -20,6 +20,7 @@ import { Readout } from "./readout.js";
 import { KINDS, shapeSvg } from "./shapes.js";
 import { LARGE, State, type Large, type Peek } from "./state.js";
 import { StatusStrip } from "./strip.js";
+import { TileArea } from "./tile-area.js";
 import { TimeMarks } from "./time-marks.js";
 import type { News, Pin, SeenPicture, ServerEvent } from "./types.js";
 import { Viewer } from "./viewer.js";
@@ -267,6 +268,7 @@ async function begin(): Promise<void> {
   new StatusStrip(state, viewer, looking);
   new AgeBadge(state);
   new TimeMarks(state);
+  new TileArea(() => mapPane);
   new PinList(state, coordinates, {
     handoff: handOff,
     open: (vehicle, frame, u, v) => { viewer.open(vehicle, frame); picture.reveal({ u, v }); },

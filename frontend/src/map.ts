@@ -1,7 +1,7 @@
 // The map pane: works with no tiles at all; grid, flight paths, footprint, features, pictures on the ground, pins and ties.
 
 import * as maplibregl from "maplibre-gl";
-import type { GeoJSONSource, ImageSource, Map as MapLibreMap } from "maplibre-gl";
+import type { GeoJSONSource, ImageSource, Map as MapLibreMap, RasterTileSource, VectorTileSource } from "maplibre-gl";
 import { Protocol } from "pmtiles";
 import type { BaseMap } from "./base-map.js";
 import { byId, setText } from "./dom.js";
@@ -17,7 +17,7 @@ import { SeenLayer, type OpenSeen } from "./seen.js";
 import { AIRCRAFT } from "./shapes.js";
 import type { State } from "./state.js";
 import type { Viewer } from "./viewer.js";
-import type { FrameView, Pin } from "./types.js";
+import type { AreaView, FrameView, Pin } from "./types.js";
 
 export { baseMap } from "./base-map.js";
 
@@ -89,6 +89,21 @@ export class MapPane {
   }
 
   resize(): void { this.map.resize(); }
+
+  /** What the map shows, and the zoom of the tiles that it shows it with. */
+  view(): AreaView {
+    const bounds = this.map.getBounds(), isVector = this.base?.source.type === "vector";
+    const zoom = isVector ? Math.floor(this.map.getZoom()) : Math.round(this.map.getZoom() + 1); // 256 px instead of 512
+    return { west: bounds.getWest(), south: bounds.getSouth(), east: bounds.getEast(), north: bounds.getNorth(), zoom: Math.max(zoom, 0) };
+  }
+
+  /** From now on tiles come from what was downloaded, else from the address. False: only after the page is loaded again. */
+  useKept(isVector: boolean): boolean {
+    const source = this.map.getSource("base") as RasterTileSource | VectorTileSource | undefined;
+    if (source === undefined || source.type !== (isVector ? "vector" : "raster")) return false;
+    source.setTiles([`${location.origin}/tiles/{z}/{x}/{y}`]);
+    return true;
+  }
 
   /** Bring a place into view. */
   goTo(lat: number, lon: number): void {

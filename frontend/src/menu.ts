@@ -25,5 +25,5 @@ export class Menu {
 /** The layers of picture and map. It closes where it would hide what is shown on the picture for some seconds only. */
 export function layersMenu(): void {
   const menu = new Menu(byId("layers"), byId("layers-menu"));
-  for (const id of ["show-features", "show-paths"]) byId(id).addEventListener("click", () => menu.open(false));
+  for (const id of ["show-features", "show-paths", "download-area"]) byId(id).addEventListener("click", () => menu.open(false));
 }

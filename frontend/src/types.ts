@@ -68,9 +68,18 @@ export interface VehicleState {
   radius: string; // what the ellipse is mostly from, and what would make it smaller; empty: not known
 }
 
+/** An area of the map, and the zoom of its tiles. */
+export interface AreaView { west: number; south: number; east: number; north: number; zoom: number }
+
+/** What a download of an area would be, for each zoom that it may go down to; bytes are those still to be fetched. */
+export interface AreaPlan { first: number; choices: { deepest: number; tiles: number; held: number; bytes: number }[]; attribution: string }
+
+export interface AreaState { state: "idle" | "running" | "done" | "stopped" | "cancelled"; words: string; tiles: number; of: number; gaps: number; bytes: number; format: string }
+
 export interface Tiles {
-  kind: "pmtiles" | "mbtiles" | "tilejson" | "template"; url: string; format: string; attribution: string;
+  kind: "pmtiles" | "mbtiles" | "tilejson" | "template" | "kept"; url: string; format: string; attribution: string;
   min_zoom: number; max_zoom: number; bounds: [number, number, number, number] | null;
+  kept_from?: number; // the first zoom of what was downloaded
 }
 
 export interface ServerStatus { role: "operator" | "viewer" | "pointer"; source: string; is_live: boolean; measures: boolean; damage: string[]; sharing: string; tak: string; tiles: Tiles | null; vehicles: VehicleState[] }

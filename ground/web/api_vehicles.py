@@ -114,6 +114,7 @@ def place(context: Context, body: AnsweredBody) -> dict[str, Any]:
 
 @router.get("/status", summary="How the server and all vehicles are")
 def status(context: Context, request: Request) -> dict[str, Any]:
+    tiles = context.tiles if context.area is None else context.area
     return {
         "role": request.state.role,
         "source": context.source.name,
@@ -125,7 +126,7 @@ def status(context: Context, request: Request) -> dict[str, Any]:
         "tak": "" if context.tak is None else context.tak.name,
         "up_s": round(time.time() - context.started_unix_s, 1),
         "browsers": len(context.hub),
-        "tiles": None if context.tiles is None else context.tiles.to_dict(),
+        "tiles": None if tiles is None else tiles.to_dict(),
         "vehicles": [vehicle_json(context, name) for name in context.source.vehicles()],
     }
 

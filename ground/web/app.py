@@ -11,7 +11,7 @@ from typing import Any
 
 from fastapi import FastAPI, HTTPException, Request, Response, WebSocket, WebSocketDisconnect
 from fastapi.exceptions import RequestValidationError
-from fastapi.responses import FileResponse, HTMLResponse, JSONResponse, PlainTextResponse
+from fastapi.responses import FileResponse, HTMLResponse, JSONResponse, PlainTextResponse, RedirectResponse
 from starlette.types import ASGIApp
 
 from contract.errors import PointclickError
@@ -21,6 +21,7 @@ from ground.web import (
     api_pins,
     api_seen,
     api_spots,
+    api_tiles,
     api_tracks,
     api_vehicles,
     handoff,
@@ -31,7 +32,9 @@ from ground.web import (
 from ground.web.context import NotThere, ServerContext
 from ground.web.dependency import Context
 from ground.web.guard import Guard, Rules
-from ground.web.tiles import MbTiles
+from ground.web.tile_area import TileArea
+from ground.web.tile_fetch import image_format
+from ground.web.tiles import MEDIA, MbTiles
 from ground.web.watch import Watch
 
 _MEDIA = {
@@ -55,6 +58,8 @@ def create_app(context: ServerContext, rules: Rules) -> ASGIApp:
         await asyncio.to_thread(watch.close)
         await asyncio.to_thread(context.found_map.close)
         await asyncio.to_thread(context.seen_map.close)
+        if context.area is not None:
+            await asyncio.to_thread(context.area.close)
 
     app = FastAPI(
         title="pointclick ground station",
@@ -66,7 +71,8 @@ def create_app(context: ServerContext, rules: Rules) -> ASGIApp:
         description="Pictures, clicks and pins. Angles in degrees (WGS84), lengths in metres, times in UTC.",
     )
     app.state.context = context
-    for part in (api_vehicles, api_pins, handoff, api_import, api_seen, api_tracks, api_look, api_spots, report, tak):
+    looks = api_vehicles, api_seen, api_tracks, api_look, api_spots, api_tiles
+    for part in (*looks, api_pins, handoff, api_import, report, tak):
         app.include_router(part.router, prefix="/api")
     app.include_router(ogc.router, prefix="/ogc")
 
@@ -150,6 +156,8 @@ def _in_a_line(error: RequestValidationError) -> str:
 
 def _add_tiles(app: FastAPI, context: ServerContext) -> None:
     tiles = context.tiles
+    if context.area is not None:
+        _add_area(app, context.area)
     if tiles is None or tiles.path is None:
         return
     if tiles.kind == "pmtiles":
@@ -169,6 +177,22 @@ def _add_tiles(app: FastAPI, context: ServerContext) -> None:
                 raise HTTPException(404, "no tile there")
             headers = {"content-encoding": "gzip"} if found[1] else {}
             return Response(found[0], media_type=file.media_type, headers=headers)
+
+
+def _add_area(app: FastAPI, area: TileArea) -> None:
+    """Tiles out of what was downloaded; of what was not, the browser is sent to the address."""
+
+    @app.get("/tiles/{z}/{x}/{y}", include_in_schema=False)
+    def kept(z: int, x: int, y: int) -> Response:
+        found = area.tile(z, x, y)
+        if found is not None:
+            kind = image_format(found)
+            headers = {"content-encoding": "gzip"} if kind == "pbf" else {}
+            return Response(found, media_type=MEDIA[kind], headers=headers)
+        url = area.elsewhere(z, x, y)
+        if url is None:
+            raise HTTPException(404, "no tile there")
+        return RedirectResponse(url, headers={"cache-control": "no-store"})
 
 
 def _api_page(schema: dict[str, Any]) -> str:

@@ -102,6 +102,7 @@ def add_page_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--port", type=_port, metavar="N", help=f"port to serve on (default {PORT}; 0: any)")
     parser.add_argument("--pins", type=Path, metavar="FILE", help="where pins are kept (default: with your other data)")
     parser.add_argument("--tiles", metavar="FILE|URL", help="base map: FILE.pmtiles, FILE.mbtiles or a URL")
+    parser.add_argument("--tiles-attribution", metavar="TEXT", default="", help="whose tiles they are, for the map")
 
 
 def run(args: argparse.Namespace) -> int:

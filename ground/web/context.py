@@ -24,6 +24,7 @@ from ground.web.found_map import FoundMap
 from ground.web.pin_json import pin_json, tie_json
 from ground.web.seen_map import SeenMap
 from ground.web.source import Source
+from ground.web.tile_area import TileArea
 from ground.web.tiles import Tiles
 from ground.web.view import placed_in
 
@@ -45,6 +46,7 @@ class ServerContext:
     tiles: Tiles | None = None
     sharing: PinSharing | None = None  # of the pins with other servers
     tak: Target | None = None  # where a pin is sent that somebody sends
+    area: TileArea | None = None  # what was downloaded of the tiles' address; None: they have none, or are one file
     started_unix_s: float = field(default_factory=time.time)
 
     def __post_init__(self) -> None:

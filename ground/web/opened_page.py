@@ -21,7 +21,7 @@ def web_options(args: argparse.Namespace, shown: Sequence[str]) -> argparse.Name
     web.add_arguments(parser)
     words = [*shown, "--port", str(_free_port(args.port))]
     words += [] if args.pins is None else ["--pins", str(args.pins)]
-    words += [] if args.tiles is None else ["--tiles", args.tiles]
+    words += [] if args.tiles is None else ["--tiles", args.tiles, "--tiles-attribution", args.tiles_attribution]
     words += [] if args.no_browser else ["--browser"]
     return parser.parse_args(words)
 

@@ -16,7 +16,7 @@ from contract.errors import InputError
 from contract.link_config import Tls
 from contract.topics import DEFAULT_ENDPOINT
 from ground.cot_sender import Target
-from ground.pins.file import chosen_path, chosen_store
+from ground.pins.file import chosen_path, chosen_store, default_path
 from ground.pins.store import PinStore
 from ground.web.app import create_app
 from ground.web.browser import open_in_browser
@@ -26,6 +26,7 @@ from ground.web.guard import Rules, is_loopback
 from ground.web.recorded import RecordedSource
 from ground.web.source import Source
 from ground.web.startup import STATIC, Tokens, WebError, link_host
+from ground.web.tile_area import area_of
 from ground.web.tiles import Tiles, open_tiles
 
 if TYPE_CHECKING:
@@ -37,7 +38,10 @@ MAX_MESSAGE_BYTES = 4096  # of a WebSocket message from a browser, which contain
 
 def serve(args: argparse.Namespace, tokens: Tokens, tls: Tls | None) -> int:
     """Until a signal ends it. Raises PointclickError before anything is served."""
-    tiles = None if args.tiles is None else open_tiles(args.tiles)
+    if args.tiles_attribution and args.tiles is None:
+        raise WebError("--tiles-attribution goes with --tiles")
+    tiles = None if args.tiles is None else open_tiles(args.tiles, args.tiles_attribution)
+    area = area_of(tiles, default_path().parent / "tiles")
     tak = None
     if args.tak is not None:
         tak = Target.of(args.tak, args.tak_ca, args.tak_certificate, args.tak_key, option="--tak")
@@ -56,7 +60,8 @@ def serve(args: argparse.Namespace, tokens: Tokens, tls: Tls | None) -> int:
 
         config = uvicorn.Config(
             create_app(
-                ServerContext(source, store, STATIC, tiles, sharing, tak), _rules(args, tokens, tiles, is_secure)
+                ServerContext(source, store, STATIC, tiles, sharing, tak, area),
+                _rules(args, tokens, tiles, is_secure),
             ),
             http=protocol_of(gate),
             loop="asyncio",  # whose sockets the gate can be asked for

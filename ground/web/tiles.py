@@ -16,7 +16,7 @@ from ground.web.guard import origin_of
 
 PMTILES_MAGIC = b"PMTiles"
 _GZIP = b"\x1f\x8b"
-_MEDIA = {
+MEDIA = {
     "png": "image/png",
     "jpg": "image/jpeg",
     "jpeg": "image/jpeg",
@@ -54,14 +54,17 @@ class Tiles:
         }  # fmt: skip
 
 
-def open_tiles(source: str) -> Tiles:
-    """Open the tiles that the option names. Raises InputError for a file that holds none, before anything is served."""
+def open_tiles(source: str, attribution: str = "") -> Tiles:
+    """Open the tiles that the option names. Raises InputError for a file that holds none, before anything is served.
+
+    `attribution`: as the user states it, instead of the one that the file or the address has.
+    """
     if source.startswith(("http://", "https://")):
         ending = Path(source.split("?", maxsplit=1)[0]).suffix
         kind = {".pmtiles": "pmtiles", ".json": "tilejson"}.get(ending, "template")
         if kind == "template" and not all(f"{{{axis}}}" in source for axis in "zxy"):
             raise InputError(f"tiles {source}: a URL must end with .pmtiles or .json, or hold {{z}}, {{x}} and {{y}}")
-        return Tiles(kind, None, source, origin_of(source))
+        return Tiles(kind, None, source, origin_of(source), attribution=attribution)
     path = Path(source)
     try:
         with path.open("rb") as stream:
@@ -69,22 +72,22 @@ def open_tiles(source: str) -> Tiles:
     except OSError as error:
         raise InputError(f"tiles {source}: {error.strerror}") from error
     if start.startswith(PMTILES_MAGIC):
-        return _pmtiles(path, start)
+        return _pmtiles(path, start, attribution)
     if start.startswith(b"SQLite format 3\x00"):
-        return _mbtiles(path)
+        return _mbtiles(path, attribution)
     raise InputError(f"tiles {source}: neither a PMTiles nor an MBTiles file")
 
 
-def _pmtiles(path: Path, header: bytes) -> Tiles:
+def _pmtiles(path: Path, header: bytes, attribution: str) -> Tiles:
     if len(header) < 127:
         raise InputError(f"tiles {path}: ends within its header")
     least, most = header[_PMTILES_ZOOMS_AT], header[_PMTILES_ZOOMS_AT + 1]
     corners = (n / 1e7 for n in struct.unpack_from("<4i", header, _PMTILES_ZOOMS_AT + 2))
     kind = "pbf" if header[_PMTILES_TYPE_AT] == _VECTOR else ""
-    return Tiles("pmtiles", path, "/tiles/base.pmtiles", "", kind, most, "", least, _bounds(*corners))
+    return Tiles("pmtiles", path, "/tiles/base.pmtiles", "", kind, most, attribution, least, _bounds(*corners))
 
 
-def _mbtiles(path: Path) -> Tiles:
+def _mbtiles(path: Path, attribution: str) -> Tiles:
     try:
         with contextlib.closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as base:
             about = dict(base.execute("SELECT name, value FROM metadata").fetchall())
@@ -98,7 +101,7 @@ def _mbtiles(path: Path) -> Tiles:
         raise InputError(f"tiles {path}: holds no tiles")
     kind = str(about.get("format", "png"))
     bounds = _stated_bounds(str(about.get("bounds", ""))) or _tiles_bounds(int(least), *edges)
-    text = str(about.get("attribution", ""))[:300]
+    text = attribution or str(about.get("attribution", ""))[:300]
     return Tiles("mbtiles", path, "/tiles/{z}/{x}/{y}", "", kind, int(most), text, int(least), bounds)
 
 
@@ -133,7 +136,7 @@ class MbTiles:
     def __init__(self, tiles: Tiles) -> None:
         self._lock = threading.Lock()
         self._base = sqlite3.connect(f"file:{tiles.path}?mode=ro", uri=True, check_same_thread=False)
-        self.media_type = _MEDIA.get(tiles.format, "application/octet-stream")
+        self.media_type = MEDIA.get(tiles.format, "application/octet-stream")
 
     def tile(self, z: int, x: int, y: int) -> tuple[bytes, bool] | None:
         """A tile, and whether it is compressed by gzip; None if the file has none there."""

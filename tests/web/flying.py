@@ -16,6 +16,7 @@ from ground.web.context import ServerContext
 from ground.web.guard import Rules
 from ground.web.source import Source
 from ground.web.startup import STATIC
+from ground.web.tile_area import TileArea
 from ground.web.tiles import Tiles
 from tests.waiting import PATIENCE_S
 from tests.web.rendered import FlyingSource
@@ -32,6 +33,7 @@ class Flight:
         rules: Rules | None = None,
         token: str = "",
         source: Source | None = None,
+        area: TileArea | None = None,
     ) -> None:
         self.source = FlyingSource(aircraft)
         self.store = PinStore(pins)
@@ -40,7 +42,7 @@ class Flight:
         self.local = f"http://127.0.0.1:{self.port}/"
         self.url = self.local + (f"?token={token}" if token else "")
         rules = rules or Rules(tile_origin="" if tiles is None else tiles.origin)
-        app = create_app(ServerContext(source or self.source, self.store, STATIC, tiles), rules)
+        app = create_app(ServerContext(source or self.source, self.store, STATIC, tiles, area=area), rules)
         self._server = uvicorn.Server(
             uvicorn.Config(app, log_level="warning", access_log=False, timeout_graceful_shutdown=1)
         )
