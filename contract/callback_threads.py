@@ -13,7 +13,7 @@ import time
 from functools import cache
 
 NAME = "pyo3-closure"  # as the binding names their function
-PATIENCE_S = 3.0  # of a session that nobody closed they do not end
+PATIENCE_S = 3.0  # of a session that was not closed they do not end
 
 
 @cache

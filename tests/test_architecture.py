@@ -76,7 +76,7 @@ IO_ALLOWED = {
     "training",
 }  # fmt: skip
 # One kind of thread for both sides, neither of which may import the other.
-IO_MODULES = {"contract.supervised_thread", "ground.spots.received"}
+IO_MODULES = {"contract.callback_threads", "contract.supervised_thread", "ground.spots.received"}
 CHANGING = {"add", "append", "clear", "discard", "extend", "insert", "pop", "remove", "reverse", "sort", "update"}
 # Attributes of other classes with a name that a `Window` or a `Record` has too.
 SAME_NAMES = {
