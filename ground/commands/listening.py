@@ -65,7 +65,7 @@ def write_out(args: argparse.Namespace, path: Path, content: str | bytes) -> Non
 
 
 class Received:
-    """Whether anything of an aircraft came at all: without a link nothing is found either, and that is no finding."""
+    """The record that something of an aircraft came: without a link nothing is found either, and that is no finding."""
 
     def __init__(self, endpoint: str, vehicle: str | None) -> None:
         self._endpoint, self._vehicle = endpoint, vehicle

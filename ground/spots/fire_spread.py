@@ -1,4 +1,4 @@
-"""How fast a fire's front moves: the distance of each of its parts from every picture's outline. (26.12) to (26.16)
+"""The speed of a fire's front: the distance of each of its parts from every picture's outline. (26.12) to (26.16)
 
 No clock and no I/O.
 """
@@ -188,7 +188,7 @@ def _distances(front: Front, points_m: Array) -> tuple[Array, Array, Mask]:
 
 
 def _picture_edges(front: Front, begin: Array, end: Array) -> Mask:
-    """Which edges (M,) are where the picture ends, of outlines that are cut: the long ones with nothing beyond."""
+    """Return a mask (M,) of the edges where the picture ends, in cut outlines: the long ones with nothing beyond."""
     out = np.zeros(len(begin), bool)
     at = 0
     for ring, is_cut in zip(front.rings_m, front.is_cut, strict=True):
@@ -200,7 +200,7 @@ def _picture_edges(front: Front, begin: Array, end: Array) -> Mask:
 
 
 def _straight(begin: Array, end: Array) -> Mask:
-    """Which edges (M,) of an outline lie along a line that it nowhere crosses, and that has a good part of it."""
+    """Return a mask (M,) of an outline's edges along a line that it nowhere crosses and that has a good part of it."""
     out = np.zeros(len(begin), bool)
     along = end - begin
     length = np.hypot(*along.T)

@@ -27,7 +27,7 @@ _MERCATOR_LAT = 85.051129
 
 @dataclass(frozen=True)
 class View:
-    """What the map shows: bounds in degrees, and the zoom of the tiles there."""
+    """The part that the map shows: bounds in degrees, and the zoom of the tiles there."""
 
     bounds: Bounds
     zoom: int

@@ -67,7 +67,7 @@ class Fetcher:
         return checked
 
     def get(self, url: str, most: int) -> bytes | None:
-        """What is at a URL of the address, of at most so many bytes; None: nothing. Raises FetchError."""
+        """Return the content at a URL of the address, of at most so many bytes; None: nothing. Raises FetchError."""
         reason = ""
         for attempt in range(self._tries):
             if attempt and self._stop.wait(PAUSE_S):

@@ -62,7 +62,7 @@ class TileKeep:
             return int(found.fetchone()[0])
 
     def mean_bytes(self) -> float | None:
-        """Of the tiles that are kept; None without any."""
+        """Return the mean size of the tiles that are kept, bytes; None without any."""
         with self._lock:
             if self._base is None:
                 return None

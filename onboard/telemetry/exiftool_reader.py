@@ -14,14 +14,13 @@ from pathlib import Path
 from contract.errors import InputError
 from onboard.telemetry.mp4_container import creation_ns
 from onboard.telemetry.row_events import SIGMA_GEOID_M, Row, Rows, log_of_rows, with_heights
-from onboard.telemetry.telemetry_log import NS_PER_S, TelemetryLog, epoch_of
+from onboard.telemetry.telemetry_log import NS_PER_S, SIGMA_BEGAN_S, TelemetryLog, epoch_of
 
 PROGRAM, PACKAGE = "exiftool", "libimage-exiftool-perl"
 # One line for each sample of the video's tracks, its time on the video's own; minor damage is passed over.
 FORMAT = "$SampleTime;$GPSLatitude;$GPSLongitude;$GPSAltitude"
 ARGUMENTS = ("-q", "-q", "-m", "-n", "-ee", "-api", "LargeFileSupport=1", "-p", FORMAT)
 TIMEOUT_S = 600.0  # of a video of an hour on a slow disk
-SIGMA_BEGAN_S = 0.5  # of positions against their pictures: a receiver's come late, by how much is not known
 
 
 def is_there() -> bool:

@@ -146,7 +146,7 @@ class Reader:
 
 
 def _is_intact(whole: bytes) -> bool:
-    """Whether a set's checksum is right: the sum of all before it, taken two bytes at a time."""
+    """Return whether a set's checksum is right: the sum of all before it, taken two bytes at a time."""
     if len(whole) < CHECKSUM_BYTES or whole[-CHECKSUM_BYTES:-2] != bytes((CHECKSUM, 2)):
         return False
     summed = whole[:-2] + b"\0" * (len(whole) % 2)

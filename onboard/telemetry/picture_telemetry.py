@@ -30,7 +30,7 @@ from onboard.telemetry.row_events import (
     Rows,
     log_of_rows,
 )
-from onboard.telemetry.telemetry_log import NS_PER_S, TelemetryLog
+from onboard.telemetry.telemetry_log import NS_PER_S, SIGMA_BEGAN_S, TelemetryLog
 
 MARK = UUID("8d646b4e-556f-4a90-8b7c-35e629510321").bytes
 SCHEMA = "apcg.telemetry.v1"
@@ -40,9 +40,6 @@ TICKS_HZ, WRAP = 90_000, 1 << 32
 MOST, MOST_AGE_MS = 1e18, 1e5
 US = 1000  # ns
 SAME_NS = 5_000_000  # within which two stamps are those of one value, whose age is in whole milliseconds
-SIGMA_BEGAN_S = (
-    0.5  # of when the video began: a value is sampled when its picture is handed on, not when it was exposed
-)
 SIGMA_UTC_S = 1.0  # of the camera's clock, which an autopilot's message sets once
 
 Json = Mapping[str, Any]

@@ -11,12 +11,9 @@ from onboard.telemetry.field_of_view import focal_lengths
 from onboard.telemetry.misb import Reader, Sample
 from onboard.telemetry.read_options import ReadOptions
 from onboard.telemetry.row_events import SIGMA_GEOID_M, log_of_rows, with_heights
-from onboard.telemetry.telemetry_log import NS_PER_S, TelemetryLog
+from onboard.telemetry.telemetry_log import NS_PER_S, SIGMA_BEGAN_S, TelemetryLog
 from onboard.telemetry.transport_stream import metadata_of
 
-# Of when the video began, by its metadata: they come with the pictures of their moment, or some time after it, by how
-# much no file states.
-SIGMA_BEGAN_S = 0.5
 # A sender that does not state leap seconds counts UTC, or without those since the time system's beginning.
 SIGMA_LEAP_S = 29.0
 

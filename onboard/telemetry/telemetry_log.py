@@ -22,6 +22,9 @@ REPORT_NS = 400_000_000
 STANDING_NS = 1_000_000_000  # a position that stands still is taken again this often
 EMPTY_EPOCH_NS = 946_684_800_000_000_000  # of a log without any date: 2000-01-01
 SIGMA_CREATED_S = 1.0  # of a file's creation time, whole seconds of its camera's clock
+# Of when a video began, by the positions that lie in it: they come with the pictures of their moment or some time after
+# it, by how much no file states.
+SIGMA_BEGAN_S = 0.5
 MAX_GAP_S = 10.0  # positions farther apart are joined by no configuration
 
 

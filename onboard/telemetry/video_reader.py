@@ -15,11 +15,9 @@ from onboard.telemetry.mp4_container import Track, creation_ns, tracks_of
 from onboard.telemetry.read_options import ReadOptions
 from onboard.telemetry.row_events import SIGMA_GEOID_M, log_of_rows, with_heights
 from onboard.telemetry.srt_reader import log_of_subtitles
-from onboard.telemetry.telemetry_log import NS_PER_S, TelemetryLog, epoch_of
+from onboard.telemetry.telemetry_log import NS_PER_S, SIGMA_BEGAN_S, TelemetryLog, epoch_of
 
 SUBTITLES = ("tx3g", "text")
-# Of when a video began, by the times of the receiver in it: they come late, by how much is not known.
-SIGMA_BEGAN_S = 0.5
 # Kinds of tracks that only exiftool reads: by four characters and, of a general kind, what describes it.
 OTHERS = (
     ("mett", b"parrot", "a Parrot's telemetry, of another version than 3"),
