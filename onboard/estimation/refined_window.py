@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from contract.feature_set import Status
 from onboard.estimation import camera_states, row_waves, window_start
+from onboard.estimation.attitude_misfit import attitude_misfit
 from onboard.estimation.bundle_adjustment import Solution
 from onboard.estimation.factors import WAVES, Layout
 from onboard.estimation.ground_motion import GroundMotion, ground_motion, ground_sigma_m_s
@@ -26,9 +27,7 @@ from onboard.estimation.window_acceptance import (
     MIN_POINTS,
     by_itself,
     by_memory,
-    by_mount,
     heading_unknown,
-    mount_misfit_sigmas,
 )
 from onboard.estimation.window_problem import Outcome, Weighed
 from onboard.estimation.window_request import Noise
@@ -187,7 +186,7 @@ def _by_sensors(refined: Refined) -> Outcome | None:
     request, s, before = refined.weighed.window.request, refined.solution, refined.settled.priors_before()
     fitted = s, refined.layout, refined.adjusted.kept, refined.good
     against = by_itself(request.config, refined.keyframes, request.terrain, *fitted, before)
-    against = against or by_mount(mount_misfit_sigmas(s, refined.weighed.problem.priors, before))
+    against = against or attitude_misfit(s, refined.weighed.problem.priors, before).reason_against()
     return None if against is None else refined.refused(Status.POOR_FIT, against)
 
 

@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.estimation import row_waves
+from onboard.estimation.attitude_misfit import attitude_misfit
 from onboard.estimation.factors import WAVES, AttitudePrior, Prior, VelocityPrior
 from onboard.estimation.keyframe import have_attitude
 from onboard.estimation.second_solve import lie_near
 from onboard.estimation.sensor_groups import Innovation, failing_groups, innovations
-from onboard.estimation.sensor_table import PARTS
+from onboard.estimation.sensor_table import PARTS, TILT
 from onboard.estimation.solved_window import AS_KNOWN
 from onboard.estimation.variance_components import evidence_of
-from onboard.estimation.window_acceptance import mount_misfit_sigmas
 from onboard.estimation.window_problem import Weighed
 from onboard.estimation.window_request import Noise
 
@@ -105,19 +105,22 @@ def settled(weighed: Weighed, failed: frozenset[str]) -> Settled:
         if not again:
             break
         weighed = weighed.again(noise)
-    return Settled(_with_mount_as_found(weighed, before), before, noise, failed)
+    return Settled(_with_attitude_as_found(weighed, before), before, noise, failed)
 
 
-def _with_mount_as_found(weighed: Weighed, before: Noise) -> Weighed:
-    """The window with its mount known to as many more sigmas as it is off what was known, where that is more. (16.13)
+def _with_attitude_as_found(weighed: Weighed, before: Noise) -> Weighed:
+    """The window with mount and tilt known to as many more sigmas as they are off what was known, where that is more.
 
     An attitude that is off by a constant angle shows in level flight by nothing else: the ground slopes instead.
+    Equations (16.13), (16.15).
     """
-    found = mount_misfit_sigmas(weighed.solution, weighed.problem.priors, _priors_before(weighed, before))
-    if found.max() < np.exp(0.5 * MIN_CHANGE):
+    misfit = attitude_misfit(weighed.solution, weighed.problem.priors, _priors_before(weighed, before))
+    if max(misfit.mount.max() ** 2, misfit.tilt_variance) < np.exp(MIN_CHANGE):
         return weighed
-    x, y, z = np.maximum(found, 1.0).tolist()
-    return weighed.again(replace(weighed.noise, mount_sigmas=(x, y, z)))
+    x, y, z = np.maximum(misfit.mount, 1.0).tolist()
+    noise, groups = weighed.noise, weighed.noise.factors.groups
+    groups = {**groups, TILT: groups.get(TILT, 1.0) * misfit.tilt_variance}
+    return weighed.again(replace(noise, mount_sigmas=(x, y, z), factors=replace(noise.factors, groups=groups)))
 
 
 def _priors_before(weighed: Weighed, before: Noise) -> list[Prior]:

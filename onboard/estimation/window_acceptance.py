@@ -19,7 +19,6 @@ from onboard.estimation.keyframe import Keyframe, with_attitude
 from onboard.estimation.platform_states import BORESIGHT, PLANE, STATES
 from onboard.estimation.reobservation import Agreement, RelativeVariance, agreement
 from onboard.estimation.sensor_factors import between_covariance, velocity_sigma_m_s
-from onboard.estimation.sensor_groups import LEAST_REDUNDANCY
 from onboard.estimation.solved_window import Solved
 from onboard.geometry.robust import IMPOSSIBLE_SIGMAS
 from onboard.geometry.terrain_grid import Terrain
@@ -110,7 +109,7 @@ def by_itself(
         r = prior.evaluate(s.state)[0]
         # No shared state (mount, delay) may be far from its prior: a moving scene is often explained that way.
         # A lens may: what a camera file without sigmas is off by is assumed of lenses, and hardly depends on the scene.
-        # And the mount, which `by_mount` judges, for a window may have widened what was known of it.
+        # And the mount, which `attitude_misfit` judges, for a window may have widened what was known of it.
         if isinstance(prior, SharedPrior):
             r = np.delete(r, BORESIGHT)
             most = float(np.abs(np.delete(r, np.s_[STATES - BORESIGHT.stop : -PLANE])).max())
@@ -123,34 +122,6 @@ def by_itself(
                 what = "no aircraft flies this path so tilted"
             return f"{what}: {rms:.1f} sigmas rms"
     return _by_terrain(config, terrain, s, good) or _by_distance(config, keyframes, s, layout)
-
-
-def mount_misfit_sigmas(s: Solution, used: Sequence[Prior], before: Sequence[Prior]) -> Array:
-    """Return by how many sigmas of such residuals a solution's mount is off what was known of it: (3,).
-
-    An attitude's constant error is shared by mount, attitude and the ground's slope, each within its own sigmas. `used`
-    and `before`: the sensors as weighted in the solution and by earlier windows. Equation (16.12).
-    """
-    shared = [prior for prior in before if isinstance(prior, SharedPrior)]
-    if not shared:
-        return np.zeros(3)
-    S, right = s.reduced.S, np.zeros(len(s.reduced.S))
-    for sign, priors in ((-1.0, used), (1.0, before)) if used is not before else ():
-        for r, J in (prior.evaluate(s.state) for prior in priors):
-            S, right = S + sign * J.T @ J, right + sign * J.T @ r
-    r, J = (part[BORESIGHT] for part in shared[0].evaluate(s.state))
-    found = np.linalg.solve(S, np.column_stack([right, J.T]))
-    rests_on_it = np.sum(J.T * found[:, 1:], axis=0)
-    shows = rests_on_it < 1.0 - LEAST_REDUNDANCY
-    out: Array = np.where(shows, np.abs(r - J @ found[:, 0]) / np.sqrt(np.where(shows, 1.0 - rests_on_it, 1.0)), 0.0)
-    return out
-
-
-def by_mount(sigmas: Array) -> str | None:
-    """Return the reason against a window whose mount is so far from what was known of it; None if that is possible."""
-    if sigmas.max() > IMPOSSIBLE_SIGMAS:
-        return f"attitude or mount is off by more than can be: {sigmas.max():.1f} sigmas"
-    return None
 
 
 def _by_terrain(config: Config, terrain: Terrain | None, s: Solution, good: Mask) -> str | None:

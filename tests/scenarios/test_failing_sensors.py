@@ -118,20 +118,29 @@ def test_the_sensor_that_contradicts_the_others_is_named(fault: str, names: str)
         assert c.is_now and f"{names} contradicts the other sensors for " in str(c)
 
 
-@pytest.mark.parametrize(("tilt_deg", "is_answered"), [(0.0, True), (3.0, True), (20.0, False)])
-def test_an_attitude_that_is_off_by_twenty_degrees_from_the_start_is_refused(
-    tilt_deg: float, is_answered: bool
+@pytest.mark.parametrize(
+    ("tilt_deg", "seconds", "semi_m"),
+    [
+        (0.0, 6.0, 12.0),
+        (3.0, 6.0, 15.0),
+        (10.0, 6.0, 25.0),
+        (20.0, 6.0, None),
+        pytest.param(10.0, 40.0, 25.0, marks=pytest.mark.long),
+    ],
+)
+def test_a_level_that_is_off_from_the_start_is_allowed_for_or_refused(
+    tilt_deg: float, seconds: float, semi_m: float | None
 ) -> None:
-    """In level flight the ground may slope instead: clicks were 5.4 ellipses off."""
+    """In level flight the ground may slope instead: clicks were 2.9 (10 degrees) and 5.4 ellipses (20) off."""
     path = PathSpec("straight", speed_m_s=10.0, height_m=200.0, heading_deg=30.0)
     faults = (Disturbance(TILT, -10.0, 60.0, tilt_deg),)
-    flight = DisturbedFlight(SampledSpec(CONFIG, path, 6.0, 2.0, errors=0.7), 3, faults)
+    flight = DisturbedFlight(SampledSpec(CONFIG, path, seconds, 2.0, errors=0.7), 3, faults)
     sets, pipeline = fly(flight)
-    assert {found.is_ok for found in sets.values()} == {is_answered}
+    assert {found.is_ok for found in sets.values()} == {semi_m is not None}
     pixels = np.array([[120.0, 100.0], [330.0, 250.0], [560.0, 400.0]])
     for error, answer in (each for s in sets.values() if s.is_ok for each in located(flight, s, pixels)):
-        assert chi2_of(error, answer) < 2.0**2 * CHI2_2 and answer.ellipse.semi_major_m < 15.0
-    assert is_answered or "attitude or mount is off by more than can be" in pipeline.summary.refused_windows
+        assert chi2_of(error, answer) < 2.0**2 * CHI2_2 and answer.ellipse.semi_major_m < semi_m
+    assert semi_m or all("attitude" in reason for reason in pipeline.summary.refused_windows)
 
 
 @pytest.mark.parametrize(
@@ -144,7 +153,7 @@ def test_an_attitude_that_is_off_by_twenty_degrees_from_the_start_is_refused(
         ((0.0, 30.0, 0.0), 6.0, None),
         ((3.5, 3.5, 0.0), 6.0, 16.0),
         ((14.0, 14.0, 0.0), 6.0, None),
-        ((5.0, 0.0, 0.0), 6.0, 12.0),
+        ((5.0, 0.0, 0.0), 6.0, 13.0),
         ((10.0, 0.0, 0.0), 6.0, None),
         ((0.0, 0.0, 5.0), 6.0, 12.0),
         ((0.0, 0.0, 30.0), 6.0, None),
@@ -166,7 +175,7 @@ def test_a_mount_that_is_off_from_the_start_of_level_flight_is_allowed_for_or_re
     for error, answer in (each for s in answered for each in located(flight, s, pixels)):
         assert chi2_of(error, answer) < 3.0**2 * CHI2_2
         assert answer.ellipse.semi_major_m < semi_m
-    assert semi_m or "attitude or mount is off by more than can be" in pipeline.summary.refused_windows
+    assert semi_m or all("attitude" in reason for reason in pipeline.summary.refused_windows)
 
 
 @pytest.mark.long
