@@ -132,7 +132,7 @@ def survey(camera: Camera, heat: ThermalSpec, pictures: int, seed: int, team: in
         frame, its_set = scene.picture(k)
         assert frame.counts is not None
         centre = scene.pose(k).centre_m[:2]
-        found = detector.look(frame.counts, its_set, centre)
+        found = detector.look(frame.counts, its_set, centre, None)
         middles = np.array([region.uv_px for region in found]).reshape(-1, 2)
         spots = centre + (middles - (camera.cx_px, camera.cy_px)) * pixel_m * (1.0, -1.0)
         apart = np.hypot(*(spots[:, None] - places[None]).transpose(2, 0, 1))

@@ -12,7 +12,8 @@ from contract.feature_set import Status
 
 PERSON_K = 8.0  # above the ground, of a person who is looked for, as the camera sees it: through the air
 PERSON_M2 = 0.25  # large, from above
-PERSON_GRID = 4, 5  # rows and columns of the parts of a picture for which it is stated where that person is found
+PERSON_GRID = 4, 5  # rows and columns of the parts of a picture for which it is stated who has been named there
+SURE_PICTURES = 2  # that report a thing, to name it: noise that looks hot once is not there again
 LEAST_LIKELY = 0.01
 MOST_SPOTS = 6  # that a packet holds, with room for outlines
 
@@ -113,9 +114,10 @@ class SpotReport:
 
     `picture_share` and `session_share` are shares of the spots' horizontal variance: what all spots of this picture
     have in common, and what (of that) those of the session's other pictures have too. The first does not become less by
-    the picture's other spots, the second not by other pictures of the same spot. `person_parts`: of each part of the
-    picture, PERSON_GRID row by row, the share of its ground on which a person, PERSON_K warmer than it, would be found,
-    None of one that shows no ground; empty where it is not known.
+    the picture's other spots, the second not by other pictures of the same spot. `person_found` is the share of the
+    picture's ground on which a person, PERSON_K warmer than it, would be found in this picture; `person_named` of each
+    part of the picture, PERSON_GRID row by row, that on which he would have been named by now, by all of the session's
+    reports: None of a part that shows no ground. None and empty where it is not known.
     """
 
     session: int
@@ -127,13 +129,8 @@ class SpotReport:
     picture_share: float = 0.0
     session_share: float = 0.0
     vehicle: str = ""
-    person_parts: tuple[float | None, ...] = ()
-
-    @property
-    def person_found(self) -> float | None:
-        """The share of the picture's ground on which a person would be found; None where it is not known."""
-        known = [share for share in self.person_parts if share is not None]
-        return sum(known) / len(known) if known else None
+    person_found: float | None = None
+    person_named: tuple[float | None, ...] = ()
 
     def to_json(self) -> str:
         return json.dumps(
@@ -141,7 +138,7 @@ class SpotReport:
                 "vehicle": self.vehicle or None, "frame": self.frame, "time_utc": time_utc(self.capture_unix_ns),
                 "is_calibrated": self.is_calibrated,
                 "picture_share": rounded(self.picture_share), "session_share": rounded(self.session_share),
-                "person_found": rounded(self.person_found), "person_parts": [rounded(p) for p in self.person_parts],
+                "person_found": rounded(self.person_found), "person_named": [rounded(p) for p in self.person_named],
                 "more": self.more,
                 "spots": [spot.to_dict() for spot in self.spots],
             }

@@ -7,8 +7,10 @@ from contract.errors import CorruptPayload, NewerPayload, TruncatedPayload
 HEIGHT_STEP_M = 0.001
 
 
-def first_byte(payload: bytes, what: str, major: int) -> int:
+def first_byte(payload: bytes, what: str, major: int, oldest: int | None = None) -> int:
     """Check a small packet's first byte, major version and kind of four bits each, and return the kind.
+
+    Versions from `oldest` on are read, if that is not `major`.
 
     Raises TruncatedPayload, NewerPayload (versions from `major` + 1 on) or CorruptPayload.
     """
@@ -17,7 +19,7 @@ def first_byte(payload: bytes, what: str, major: int) -> int:
     version, kind = payload[0] >> 4, payload[0] & 15
     if version > major:
         raise NewerPayload(f"{what} of version {version}; this program reads up to {major}")
-    if version < major:
+    if version < (major if oldest is None else oldest):
         raise CorruptPayload(f"{what} of version {version}")
     return kind
 

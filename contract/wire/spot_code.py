@@ -14,8 +14,8 @@ from contract.wire.byte_cursor import ByteCursor
 from contract.wire.outlines import fitted
 from contract.wire.small_packet import HEIGHT_STEP_M, first_byte, heights_of
 
-MAJOR, MAX_SPOT_BYTES = 1, 200
-KIND = MAJOR << 4 | 1
+MAJOR, OLDEST, MAX_SPOT_BYTES = 2, 1, 200  # of version 2 are packets that state who would have been named
+KIND = 1
 IS_CALIBRATED, HAS_PLACES, HAS_ELLIPSOID, HAS_AMSL, HAS_KINDS, HAS_PERSON, HAS_PARTS = 1, 2, 4, 8, 16, 32, 64
 IS_COLD, IS_CUT, STATUS_MASK = 0x40, 0x80, 0x3F
 DEGREE, TIME_STEP_NS, PIXEL_STEP, SHARE_STEP = 1e-9, 10_000, 1.0 / 8.0, 1.0 / 255.0
@@ -47,9 +47,10 @@ def encode_spots(report: SpotReport) -> bytes:
     placed = [spot.place for spot in kept if spot.place is not None]
     has_kinds = any(spot.kind is not None for spot in kept)
     flags = r.is_calibrated * IS_CALIBRATED | bool(placed) * HAS_PLACES | has_kinds * HAS_KINDS
-    flags |= bool(r.person_parts) * HAS_PARTS
+    has_person = r.person_found is not None
+    flags |= has_person * HAS_PARTS
     try:
-        body = _parts(r.person_parts)
+        body = _person(r.person_found, r.person_named)
         if placed:
             first = placed[0]
             flags |= (first.height_ellipsoid_m is not None) * HAS_ELLIPSOID
@@ -58,8 +59,9 @@ def encode_spots(report: SpotReport) -> bytes:
             body += _reference(first, exponent)
             step = OFFSET_STEP_DEG * 2.0**exponent
         more = min(max(r.more + len(r.spots) - len(kept), 0), 255)
+        kind = (MAJOR if has_person else OLDEST) << 4 | KIND
         head = _HEAD.pack(
-            KIND, flags, r.session, r.frame, round(r.capture_unix_ns / TIME_STEP_NS).to_bytes(6, "little"), len(kept),
+            kind, flags, r.session, r.frame, round(r.capture_unix_ns / TIME_STEP_NS).to_bytes(6, "little"), len(kept),
             more, _share(r.picture_share), _share(r.session_share),
         )  # fmt: skip
         parts = [_spot(spot, r.is_calibrated) + (_kind(spot) if has_kinds else b"") for spot in kept]
@@ -76,7 +78,7 @@ def encode_spots(report: SpotReport) -> bytes:
 
 def decode_spots(payload: bytes, vehicle: str = "") -> SpotReport:
     """Raises TruncatedPayload, CorruptPayload or NewerPayload, and nothing else."""
-    if (kind := first_byte(payload, "spots", MAJOR)) != KIND & 15:
+    if (kind := first_byte(payload, "spots", MAJOR, OLDEST)) != KIND:
         raise CorruptPayload(f"spots of kind {kind}")
     if len(payload) < _HEAD.size:
         raise TruncatedPayload(f"{len(payload)} bytes")
@@ -84,14 +86,14 @@ def decode_spots(payload: bytes, vehicle: str = "") -> SpotReport:
     if flags > 127 or count > MOST_SPOTS or len(payload) > MAX_SPOT_BYTES:
         raise CorruptPayload(f"{count} spots with flags {flags:#x} in {len(payload)} bytes")
     cursor = ByteCursor(payload, _HEAD.size, len(payload))
-    person = _read_parts(cursor, flags)
+    found, named = _read_person(cursor, flags, payload[0] >> 4)
     reference, step = _read_reference(cursor, flags) if flags & HAS_PLACES else (None, 0.0)
     spots = tuple(_read_spot(cursor, flags, reference, step) for _ in range(count))
     if cursor.position != len(payload):
         raise CorruptPayload(f"{len(payload) - cursor.position} bytes too many")
     return SpotReport(
         session, frame, int.from_bytes(time, "little") * TIME_STEP_NS, bool(flags & IS_CALIBRATED), spots, more,
-        shares[0] * SHARE_STEP, shares[1] * SHARE_STEP, vehicle, person,
+        shares[0] * SHARE_STEP, shares[1] * SHARE_STEP, vehicle, found, named,
     )  # fmt: skip
 
 
@@ -100,22 +102,29 @@ def _share(share: float) -> int:
     return round(min(max(share, 0.0), 1.0) / SHARE_STEP)
 
 
-def _parts(shares: tuple[float | None, ...]) -> bytes:
-    """Half a byte for each part of a picture, the first in the low half. Raises ValueError for another number."""
-    if len(shares) not in (0, PARTS):
-        raise ValueError(f"{len(shares)} parts of a picture, not {PARTS}")
-    codes = [NO_GROUND if p is None else round(min(max(p, 0.0), 1.0) / PART_STEP) for p in shares]
-    return bytes(low | high << 4 for low, high in zip(codes[::2], codes[1::2], strict=True))
+def _person(found: float | None, named: tuple[float | None, ...]) -> bytes:
+    """A byte for the picture, and half a byte for each part of it, the first in the low half. Raises ValueError."""
+    if len(named) != (0 if found is None else PARTS):
+        raise ValueError(f"{len(named)} parts of a picture, not {PARTS}, or none where nothing is known of a person")
+    if found is None:
+        return b""
+    codes = [NO_GROUND if p is None else round(min(max(p, 0.0), 1.0) / PART_STEP) for p in named]
+    return bytes([_share(found), *(low | high << 4 for low, high in zip(codes[::2], codes[1::2], strict=True))])
 
 
-def _read_parts(cursor: ByteCursor, flags: int) -> tuple[float | None, ...]:
-    """Read the shares of a picture's parts; recordings of before have one for all."""
-    if flags & HAS_PERSON:
-        return (cursor.take(1)[0] * SHARE_STEP,) * PARTS
+def _read_person(cursor: ByteCursor, flags: int, version: int) -> tuple[float | None, tuple[float | None, ...]]:
+    """Read on which share of the picture a person is found, and of its parts who has been named: `person_found` and
+    `person_named`. Packets of version 1 state the first alone, in one byte or by parts.
+    """
+    one = cursor.take(1)[0] * SHARE_STEP if flags & HAS_PERSON or (version > 1 and flags & HAS_PARTS) else None
     if not flags & HAS_PARTS:
-        return ()
+        return one, ()
     codes = [code for byte in cursor.take(PARTS // 2) for code in (byte & 15, byte >> 4)]
-    return tuple(None if code == NO_GROUND else code * PART_STEP for code in codes)
+    parts = tuple(None if code == NO_GROUND else code * PART_STEP for code in codes)
+    if version > 1:
+        return one, parts
+    known = [share for share in parts if share is not None]
+    return (sum(known) / len(known) if known else None), ()
 
 
 def _code(value: float, scale: tuple[float, float]) -> int:

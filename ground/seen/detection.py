@@ -1,8 +1,8 @@
 """The probability that a person would have been found in each cell: by the machine, and by an operator who looks.
 
 docs/mathematics-seen.md, (23.5) to (23.12). Looks at one place are not independent: what hides a person in one picture
-hides it in the next. So no product of misses is stated: of both what the best looks allow, as if one cause hid a person
-in all; of the machine also what no dependence between looks can undercut.
+hides it in the next, in part. So no product of misses is stated: of the machine whom the aircraft itself would have
+named, as it tries the same people in all pictures of a place, and of an operator what the best look allows.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ LOOK_S = 5.0  # at most, for which an operator who watches along looks at a pict
 class Detection:
     """Probabilities (3, rows, columns) over the cells of a coverage: as stated, lowest and highest. 0: not seen.
 
-    The machine's range is what dependence between looks may do, the operator's how observers differ.
+    The machine's range is what dependence between passes may do, the operator's how observers differ.
 
     `machine` is None where no picture of a calibrated thermal camera was searched; `searched` pictures were.
     `strangers` are reports of pictures that have no set here, which count for nothing.
@@ -56,77 +56,40 @@ class Detection:
         return self.machine if who == "machine" else self.operator
 
 
-@dataclass(frozen=True, eq=False)
-class _Searched:
-    """A picture that was searched: its number among those of its session, the cells in it, and for each the share of
-    the ground about it on which a person would be found.
-    """
-
-    number: int
-    at: Index
-    share: Array
-
-
 @dataclass(eq=False)
 class _Machine:
-    """By cell (n,): whom the reports of the pictures that were searched name, `best` and `of_pass` if one cause hides a
-    person in all looks, `least` and `thrice` whatever the dependence between looks. (23.5) to (23.8)
+    """By cell (n,): the share of people about it whom the session had named when a pass last saw it, of all passes the
+    `best`; and what all would name together, were they independent. (23.5) to (23.8)
     """
 
     n: int
-    best: Array = field(init=False)  # (2, n): the two best reports
+    best: Array = field(init=False)
     of_pass: Array = field(init=False)
-    least: Array = field(init=False)
-    thrice: Array = field(init=False)
     missed: Array = field(init=False)  # by all earlier passes, were they independent
     last_ns: Index = field(init=False)
-    before: list[_Searched] = field(init=False)  # the last two pictures that were searched
-    shares: Array = field(init=False)  # (2, n) of theirs; 0 but while a picture is taken
 
     def __post_init__(self) -> None:
-        self.best, self.of_pass, self.least = (np.zeros((2, self.n)) for _ in range(3))
-        self.thrice, self.missed, self.last_ns = np.zeros(self.n), np.ones(self.n), np.zeros(self.n, np.int64)
-        self.before, self.shares = [], np.zeros((2, self.n))
+        self.best, self.of_pass, self.missed = np.zeros(self.n), np.zeros(self.n), np.ones(self.n)
+        self.last_ns = np.zeros(self.n, np.int64)
 
     def begin_session(self) -> None:
-        """Another aircraft, or the same one again: another pass everywhere, and nothing to be seen again in."""
+        """Another aircraft, or the same one again: another pass everywhere."""
         self._end_pass(np.arange(self.n))
-        self.before = []
 
-    def look(self, picture: _Searched, capture_unix_ns: int) -> None:
-        """The next picture of the session that was searched."""
-        at, share = picture.at, picture.share
-        is_new = capture_unix_ns - self.last_ns[at] > PASS_S * 1e9
-        self._end_pass(at[is_new])
-        self.last_ns[at] = capture_unix_ns
-        self.before = [one for one in self.before if one.number >= picture.number - 2]
-        for row, one in zip(self.shares, self.before, strict=False):
-            row[one.at] = one.share
-        either, both = self.shares[:, at].max(axis=0), self.shares[:, at].sum(axis=0)
-        for row, one in zip(self.shares, self.before, strict=False):
-            row[one.at] = 0.0
-        self.before.append(picture)
-        _insert(self.best, at, np.minimum(share, either))
-        _insert(self.of_pass, at, np.minimum(share, either))
-        _insert(self.least, at, np.maximum(share + either - 1.0, 0.0))
-        self.thrice[at] = np.maximum(self.thrice[at], share + both - 2.0)
+    def look(self, at: Index, named: Array, capture_unix_ns: int) -> None:
+        """The next picture of the session that was searched: its cells, and the share of people named about each."""
+        self._end_pass(at[capture_unix_ns - self.last_ns[at] > PASS_S * 1e9])
+        self.last_ns[at], self.of_pass[at] = capture_unix_ns, named
 
     def _end_pass(self, at: Index) -> None:
-        self.missed[at] *= 1.0 - self.of_pass[1, at]
-        self.of_pass[:, at] = 0.0
+        self.best[at] = np.maximum(self.best[at], self.of_pass[at])
+        self.missed[at] *= 1.0 - self.of_pass[at]
+        self.of_pass[at] = 0.0
 
     def probabilities(self) -> Array:
         """As stated, lowest, highest (3, n)."""
         self.begin_session()
-        least = np.maximum(np.maximum(self.thrice, self.least.sum(axis=0) - 1.0), 0.0)
-        return np.stack([self.best[1], least, np.maximum(self.best[1], 1.0 - self.missed)])
-
-
-def _insert(two: Array, at: Index, value: Array) -> None:
-    """Keep the larger two of what is held and a new value."""
-    first, second = two[0, at], two[1, at]
-    two[1, at] = np.maximum(second, np.minimum(first, value))
-    two[0, at] = np.maximum(first, value)
+        return np.stack([self.best, self.best, np.maximum(self.best, 1.0 - self.missed)])
 
 
 def final_probability(gsd_m: Array | float) -> Array:
@@ -168,7 +131,7 @@ def detection(
         )
     number = np.full((rows, columns), -1, np.int64)
     number[over.seen] = np.arange(n)
-    numbered = _numbered(reports)
+    reported = _reported(reports)
     machine, final, final_s = _Machine(n), np.zeros((3, n)), np.zeros((3, n))
     session: tuple[str, int] | None = None
     searched, shares = set[Key](), list[tuple[float, float]]()
@@ -183,13 +146,12 @@ def detection(
         if session != key[:2]:
             machine.begin_session()
             session = key[:2]
-        found = numbered.get((*key, capture_unix_ns))
-        if found is not None:
+        report = reported.get((*key, capture_unix_ns))
+        if report is not None and report.person_found is not None:
             searched.add(key)
-            by_cell = _by_cell(found[1], cells)
             if len(at):
-                shares.append((float(np.median(cells.gsd_m)), float(by_cell.mean())))
-            machine.look(_Searched(found[0], at, by_cell[kept]), capture_unix_ns)
+                shares.append((float(np.median(cells.gsd_m)), report.person_found))
+            machine.look(at, _by_cell(report, cells)[kept], capture_unix_ns)
     open_share = 1.0 - _canopy(over, woods)[over.seen]
     by_operator = searched_for(final, final_s)
     return Detection(
@@ -197,35 +159,28 @@ def detection(
         _on_cells(by_operator * open_share, over),
         len(looks),
         len(searched),
-        len(numbered) - len(searched),
+        len(reported) - len(searched),
         shares,
     )
 
 
 def _by_cell(report: SpotReport, cells: PictureCells) -> Array:
-    """The share (N,) that a report states for the part of its picture in which each cell is."""
+    """The share (N,) of people named that a report states for the part of its picture in which each cell is."""
     if cells.view is None:
         return np.zeros(len(cells))
     rows, columns = PERSON_GRID
     across, down = cells.view.places(cells.row, cells.column).T
-    parts = np.array([0.0 if share is None else share for share in report.person_parts])
+    parts = np.array([0.0 if share is None else share for share in report.person_named])
     out: Array = parts[(down * rows).astype(np.int64) * columns + (across * columns).astype(np.int64)]
     return out
 
 
-def _numbered(reports: Iterable[SpotReport]) -> dict[tuple[str, int, int, int], tuple[int, SpotReport]]:
-    """By vehicle, session, frame and capture: which picture of its session it was that was searched, and its report.
+def _reported(reports: Iterable[SpotReport]) -> dict[tuple[str, int, int, int], SpotReport]:
+    """The reports that state who would have been named, by vehicle, session, frame and capture; each once.
 
-    The capture too, for a second camera counts its own pictures. Only of those that state who would be found.
+    By the capture too, for a second camera counts its own pictures.
     """
-    once = {(r.vehicle, r.session, r.frame, r.capture_unix_ns): r for r in reports}  # however often it came
-    out, numbers = {}, dict[tuple[str, int], int]()
-    for r in sorted(once.values(), key=lambda r: r.capture_unix_ns):
-        session = r.vehicle, r.session
-        numbers[session] = number = numbers.get(session, 0) + 1
-        if r.person_found is not None:
-            out[(*session, r.frame, r.capture_unix_ns)] = number, r
-    return out
+    return {(r.vehicle, r.session, r.frame, r.capture_unix_ns): r for r in reports if r.person_named}
 
 
 def _seconds(looks: Sequence[Look], look_s: float | None) -> list[float]:

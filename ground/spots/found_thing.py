@@ -6,7 +6,7 @@ import json
 from dataclasses import dataclass
 
 from contract.answer import CONFIDENCE, Place, rounded, time_utc
-from contract.spot import ThingKind, likely_text
+from contract.spot import SURE_PICTURES, ThingKind, likely_text
 from contract.track import Course
 
 
@@ -54,7 +54,7 @@ class FoundThing:
         """True if more than one picture shows it, for noise that looks hot once is not there again; or if a net has
         named it, for that is weighed against all looks on board.
         """
-        return self.pictures > 1 or self.kind is not None
+        return self.pictures >= SURE_PICTURES or self.kind is not None
 
     @property
     def heat_text(self) -> str:

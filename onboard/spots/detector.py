@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from contract.feature_set import FeatureSet
+from contract.geodesy import LocalFrame
 from contract.thermal_scale import ThermalScale
 from onboard.config.schema import SpotsConfig
 from onboard.spots.clutter_tail import LARGEST, ClutterTail
 from onboard.spots.contrast import Contrast, Image, contrast, in_picture
 from onboard.spots.ground_scale import USUAL_M, GroundScale, ground_scale, usual_scale
+from onboard.spots.ground_view import GroundView
 from onboard.spots.regions import MOST_REGIONS, Part, Region, about_peak, above, peaks, region_of, size_limits
-from onboard.spots.would_find import found_by_part
+from onboard.spots.tried_people import Tried, TriedPeople
+from onboard.spots.would_find import found_at
 
 Array = NDArray[np.float64]
 
@@ -38,18 +42,22 @@ class Detector:
         octaves = max(int(np.ceil(np.log2(config.largest_m / smallest))), 1)
         self.tails = {smallest * 2.0**k: ClutterTail(config.false_per_km2 / octaves) for k in range(octaves)}
         self._pixel_m = 0.0  # of the newest picture with a scale
-        self.person_found: tuple[float | None, ...] = ()
-        """The shares of the newest picture's parts, as a report's `person_parts`."""
+        self._people = TriedPeople()
+        self.tried = Tried()
+        """What became in the newest picture of people who are put on the ground."""
 
     @property
     def thresholds(self) -> dict[float, float]:
         """The contrast that a spot of each size (m) must have, in sigmas of the clutter; infinite: not known yet."""
         return {side_m: tail.threshold for side_m, tail in self.tails.items()}
 
-    def look(self, counts: NDArray[np.uint16], its_set: FeatureSet, place_m: Array) -> list[Region]:
+    def look(
+        self, counts: NDArray[np.uint16], its_set: FeatureSet, place_m: Array, origin: LocalFrame | None
+    ) -> list[Region]:
         """Return the regions of counts (H, W) that stand out, the most significant first.
 
-        `its_set` is the picture's set; `place_m` (2,): about where its ground is, east and north of a point that stays.
+        `its_set` is the picture's set; `place_m` (2,): about where its ground is, east and north of `origin`, a point
+        that stays.
         """
         ground = ground_scale(its_set, PARTS)
         used = ground or usual_scale(its_set.camera, PARTS)
@@ -71,9 +79,21 @@ class Detector:
                 region = region_of(c, part, size)
                 if region is not None:
                     found.append(replace(region, significance=region.contrast / max(must, 1e-6)))
-        is_known = self._scale is not None and ground is not None
-        self.person_found = found_by_part(values, contrasts, self.thresholds, pixel_m) if is_known else ()
+        if self._scale is not None:
+            self._try_people(values, contrasts, pixel_m, its_set, ground, origin)
         return apart(sorted(found, key=lambda region: -region.significance))
+
+    def _try_people(
+        self, values: Image, contrasts: list[Contrast], pixel_m: float, its_set: FeatureSet,
+        ground: GroundScale | None, origin: LocalFrame | None,
+    ) -> None:  # fmt: skip
+        """Put people on the ground of a picture (H, W) in kelvin with its contrasts."""
+        if ground is None or origin is None:
+            self._people.missed()
+            self.tried = Tried()
+            return
+        find = partial(found_at, values, contrasts, self.thresholds, pixel_m)
+        self.tried = self._people.look(GroundView(its_set, ground, origin), its_set.capture_unix_ns, find)
 
     def _learn(self, c: Contrast, tail: ClutterTail, ground: GroundScale, place_m: Array, pixel_m: float) -> None:
         """Add to `tail` how much of the picture looks like a spot, if its ground has not been counted yet. (25.6)"""

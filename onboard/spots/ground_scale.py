@@ -48,7 +48,7 @@ def ground_scale(its_set: FeatureSet, shape: tuple[int, int]) -> GroundScale | N
     s, camera = its_set, its_set.camera
     if not s.is_ok:
         return None
-    rays, valid = camera.unproject(_grid(camera, shape))
+    rays, valid = camera.unproject(grid_pixels(camera, shape))
     w = rays @ np.array([s.plane_per_m[1], s.plane_per_m[2], s.plane_per_m[0]])
     shown = valid & (w > MIN_PLANE_SHARE * max(float(w.max()), 1e-12))
     up = abs(float(s.R_enu_cam[2] @ np.array([s.plane_per_m[1], s.plane_per_m[2], s.plane_per_m[0]])))
@@ -61,7 +61,7 @@ def usual_scale(camera: Camera, shape: tuple[int, int]) -> GroundScale:
     return GroundScale(np.full(shape, USUAL_M**2 / (camera.fx_px * camera.fy_px)))
 
 
-def _grid(camera: Camera, shape: tuple[int, int]) -> Array:
+def grid_pixels(camera: Camera, shape: tuple[int, int]) -> Array:
     """Pixels (h, w, 2) in the middles of as many parts of the picture."""
     rows, columns = shape
     u = (np.arange(columns) + 0.5) * (camera.width_px / columns) - 0.5

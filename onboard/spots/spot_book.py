@@ -23,10 +23,10 @@ from onboard.spots.second_camera import STATES, Pointing
 from onboard.spots.shares import shares
 from onboard.spots.thing_book import ThingBook, ThingSeen
 from onboard.spots.thing_region import is_of_thing, region_of_thing
+from onboard.spots.tried_people import OF, SEEN
 
 Array = NDArray[np.float64]
 
-SEEN, OF = 2, 3  # a spot is in so many of so many pictures
 EDGE_SIGMA_PX = 0.25  # of an outline, all of it outwards
 BLUR_SIGMA = 0.2  # of how much is blurred, its share
 LEAST_GATE_PX = 3.0
@@ -82,7 +82,7 @@ class SpotBook:
         if s.is_ok and self._origin is None:
             self._origin = LocalFrame(s.camera_lat_deg, s.camera_lon_deg, 0.0)
         ground_m = self._ground_place(locator)
-        hot = self._detector.look(frame.counts, s, ground_m)
+        hot = self._detector.look(frame.counts, s, ground_m, self._origin)
         things = [] if locator is None else self._seen_things(frame.counts, locator, ground_m, pointing)
         placed = [self._thing(region, seen, locator, s.status, pointing) for region, seen in things]
         found = [one for one in hot if not any(is_of_thing(one, seen.peak, region) for region, seen in things)]
@@ -92,10 +92,11 @@ class SpotBook:
         )
         self._before.append([one for one in placed if one.fix is not None])
         self.newest = shown = [one for one in kept if one.fix is not None]
+        tried = self._detector.tried
         picture, session = shares([one.fix for one in shown if one.fix], s, [one.pointed_m for one in shown])
         return SpotReport(
             s.session, s.frame, s.capture_unix_ns, self._thermal.calibration is not None,
-            tuple(one.spot for one in kept), 0, picture, session, self._vehicle, self._detector.person_found,
+            tuple(one.spot for one in kept), 0, picture, session, self._vehicle, tried.found, tried.named,
         )  # fmt: skip
 
     def _seen_things(

@@ -1,4 +1,4 @@
-"""The parts of a picture in which a person would be found now: tried in the picture itself. (25.23), (25.24)"""
+"""Whether a person at a place would be found in a picture: tried in the picture itself. (25.23)"""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from contract.spot import PERSON_GRID, PERSON_K, PERSON_M2
+from contract.spot import PERSON_K, PERSON_M2
 from onboard.spots.contrast import WINDOW, Contrast, Image, contrast, stretched
 from onboard.spots.regions import LENS_PX, about_peak, size_limits
 
@@ -17,39 +17,35 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-TRIED = 4  # places to the side of a part of the picture, at each of which one person is tried
 SIDE_PX = 96  # of the picture of level ground that shows how a person stands out
 PIXEL_STEP = 0.05  # of a pixel, by which sizes differ that are computed by themselves
 CLOSE = 1.25  # of what is needed, up to which a person is put into the picture itself
-# Where in a pixel a person stands: evenly over it (Hammersley), for much depends on it where a pixel is as large.
+# Where in a pixel a person may stand: evenly over it (Hammersley), for much depends on it where a pixel is as large.
 PHASES = np.array([(k, int(f"{k:04b}"[::-1], 2)) for k in range(16)]) / 16.0 + 1.0 / 32.0
 
 
-def found_by_part(
-    kelvin: Image, contrasts: Sequence[Contrast], thresholds: Mapping[float, float], pixel_m: float
-) -> tuple[float | None, ...]:
-    """The shares of the parts of a picture, PERSON_GRID row by row, on which PERSON_K above the ground and PERSON_M2
-    large is found by any of the sizes; None of a part that shows no ground.
+def found_at(
+    kelvin: Image, contrasts: Sequence[Contrast], thresholds: Mapping[float, float], pixel_m: float, at: Array
+) -> tuple[Mask, Mask]:
+    """The masks (N,) of the places at which PERSON_K above the ground and PERSON_M2 large is found by any of the sizes,
+    and of those that show ground.
 
     `kelvin` is the picture (H, W) and `contrasts` its own, by size; `thresholds` what each size must have, in sigmas of
-    the clutter; `pixel_m` the ground that the usual pixel shows.
+    the clutter; `pixel_m` the ground that the usual pixel shows; `at` (N, 2) the places, in shares of the picture's
+    height and width.
     """
-    rows, columns = PERSON_GRID
-    down, across = ((np.arange(TRIED * count) + 0.5) / (TRIED * count) for count in PERSON_GRID)
-    at = np.stack(np.meshgrid(down, across, indexing="ij"), axis=-1).reshape(-1, 2)
     found, is_ground = np.zeros(len(at), bool), np.zeros(len(at), bool)
     for c in contrasts:
-        shown = c.in_clutter[_pixels(c, at)] != 0.0
+        shown = c.in_clutter[_pixels(c.values, at)] != 0.0
         trial = Trial(kelvin, c, thresholds[c.side_m], pixel_m)
         is_ground |= shown
         found[shown & ~found] = trial.found(at[shown & ~found])
-    counts = [each.reshape(rows, TRIED, columns, TRIED).sum(axis=(1, 3)).ravel() for each in (found, is_ground)]
-    return tuple(float(n / of) if of else None for n, of in zip(*counts, strict=True))
+    return found, is_ground
 
 
-def _pixels(c: Contrast, at: Array) -> tuple[Index, Index]:
-    """Rows and columns (N,) in the picture of `c` of places (N, 2), shares of its height and width."""
-    row, column = (at * c.values.shape).astype(np.int64).T
+def _pixels(values: Image, at: Array) -> tuple[Index, Index]:
+    """Rows and columns (N,) in a picture (H, W) of places (N, 2), shares of its height and width."""
+    row, column = (at * values.shape).astype(np.int64).T
     return row, column
 
 
@@ -63,12 +59,13 @@ class Trial:
         self._step_m = float(np.exp(round(np.log(pixel_m) / PIXEL_STEP) * PIXEL_STEP))
 
     def found(self, at: Array) -> Mask:
-        """The mask (N,) of the places (N, 2) at which a person is found."""
+        """The mask (N,) of the places (N, 2), shares of height and width, at which a person is found."""
         c, radius = self._c, self._radius
         persons = np.float32(PERSON_K) * _persons(c.side_m, self._step_m, radius)
-        row, column = _pixels(c, at)
+        row, column = _pixels(c.values, at)
         must = self._threshold * self._clutter_with_person(row, column)
-        which = np.arange(len(at)) % len(persons)
+        within = at * c.values.shape - np.column_stack([row, column])
+        which = np.square(within[:, None] - PHASES).sum(axis=2).argmin(axis=1)
         around = np.pad(c.excess, radius)
         out = np.zeros(len(at), bool)
         # Not tried where its middle and the pixels about it, all at their largest, are too little.
@@ -76,7 +73,7 @@ class Trial:
             i, j = row[k], column[k]
             shown = around[i : i + 2 * radius + 1, j : j + 2 * radius + 1] + persons[which[k]]
             if self._is_close(shown, must[k]):
-                shown = self._with_person(i, j, which[k])
+                shown = self._with_person(at[k] * self._kelvin.shape)
             out[k] = self._is_thing(shown, must[k])
         return out
 
@@ -95,11 +92,12 @@ class Trial:
         """Return whether it matters that a person also lifts the median that is his background."""
         return bool(must < _middle(shown, self._radius).max() < CLOSE * must)
 
-    def _with_person(self, row: int, column: int, which: int) -> Image:
-        """Return the excess about a pixel of `c`, the person put into the picture itself: exact, and slower."""
+    def _with_person(self, middle: Array) -> Image:
+        """Return the excess about a place (2,), row and column from the picture's corner, the person put into the
+        picture itself: exact, and slower.
+        """
         c, reach = self._c, self._radius
         half = int(np.ceil((reach + WINDOW * c.side_m / self._pixel_m / c.times) * c.times))
-        middle = (np.array([row, column]) + PHASES[which]) * c.times
         low = np.maximum(middle.astype(int) - half, 0)
         crop = self._kelvin[low[0] : int(middle[0]) + half, low[1] : int(middle[1]) + half]
         person = _person(crop.shape, middle - low, self._pixel_m)

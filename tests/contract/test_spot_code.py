@@ -38,7 +38,8 @@ GOLDEN = (
 
 NEAR = st.floats(-0.05, 0.05)
 FIGURES = st.floats(0.01, 1000.0)
-PARTS_FOUND = st.just(()) | st.lists(st.none() | st.floats(0.0, 1.0), min_size=20, max_size=20).map(tuple)
+PARTS_NAMED = st.lists(st.none() | st.floats(0.0, 1.0), min_size=20, max_size=20).map(tuple)
+PERSON = st.just((None, ())) | st.tuples(st.floats(0.0, 1.0), PARTS_NAMED)
 
 
 @st.composite
@@ -72,10 +73,11 @@ def reports(draw: st.DrawFn) -> SpotReport:
         spots.append(
             replace(spot, status=Status.OK, place=place, area_m2=area, sigma_area_m2=0.2 * area, outline_en_m=outline)
         )
+    found, named = draw(PERSON)
     return SpotReport(
         draw(st.integers(0, 2**32 - 1)), draw(st.integers(0, 2**32 - 1)), draw(st.integers(0, 2**60)), is_calibrated,
         tuple(spots), draw(st.integers(0, 300)), draw(st.floats(0.0, 1.0)),
-        draw(st.floats(0.0, 1.0)), person_parts=draw(PARTS_FOUND),
+        draw(st.floats(0.0, 1.0)), person_found=found, person_named=named,
     )  # fmt: skip
 
 
@@ -96,7 +98,8 @@ def test_a_report_is_read_back_from_200_bytes_or_fewer(report: SpotReport) -> No
     assert found.more == min(report.more + len(report.spots) - len(kept), 255)
     assert is_like(found.picture_share, report.picture_share, within=0.002)
     assert is_like(found.session_share, report.session_share, within=0.002)
-    for share, given_share in zip(found.person_parts, report.person_parts, strict=True):
+    assert is_like(found.person_found, report.person_found, within=0.002)
+    for share, given_share in zip(found.person_named, report.person_named, strict=True):
         assert is_like(share, given_share, within=0.0358)
     for one, other in zip(found.spots, kept, strict=True):
         assert (one.status, one.is_cut, one.kind) == (other.status, other.is_cut, other.kind)
@@ -146,21 +149,22 @@ def test_no_odds_are_stated_as_certain() -> None:
         assert f"a person, {round(100.0 * stated)} % likely" in spot.to_text()
 
 
-def test_what_would_be_found_in_each_part_of_the_picture_is_ten_bytes_behind_the_head() -> None:
+def test_who_would_have_been_found_is_eleven_bytes_behind_the_head_of_a_packet_of_version_2() -> None:
     parts = (0.0, 1.0, None, 0.5, *[0.96] * 16)
-    plain, b = encode_spots(REPORT), encode_spots(replace(REPORT, person_parts=parts))
-    assert b[1] == plain[1] | 0x40 and b[2:20] + b[30:] == plain[2:]
-    assert b[20:30] == bytes.fromhex("e07fdddddddddddddddd")
-    assert replace(REPORT, person_parts=parts).person_found == pytest.approx((0.0 + 1.0 + 0.5 + 16 * 0.96) / 19)
-    for wrong in (parts[:19], (*parts, 0.1)):
+    plain, b = encode_spots(REPORT), encode_spots(replace(REPORT, person_found=0.2, person_named=parts))
+    assert (b[0], b[1]) == (0x21, plain[1] | 0x40) and b[2:20] + b[31:] == plain[2:]
+    assert b[20:31] == bytes.fromhex("33e07fdddddddddddddddd")
+    for share, wrong in ((0.2, parts[:19]), (0.2, (*parts, 0.1)), (None, parts), (0.2, ())):
         with pytest.raises(ValueError, match="parts of a picture"):
-            encode_spots(replace(REPORT, person_parts=wrong))
+            encode_spots(replace(REPORT, person_found=share, person_named=wrong))
 
 
-def test_one_share_of_a_whole_picture_as_it_was_recorded_before_is_that_of_all_parts() -> None:
+@pytest.mark.parametrize(("flag", "person"), [(0x20, "33"), (0x40, "3f" + 9 * "33")])
+def test_what_one_picture_finds_as_it_was_recorded_before_names_no_one(flag: int, person: str) -> None:
     plain = encode_spots(REPORT)
-    found = decode_spots(plain[:1] + bytes([plain[1] | 0x20]) + plain[2:20] + bytes([51]) + plain[20:])
-    assert found.person_parts == (0.2,) * 20 and found.spots == decode_spots(plain).spots
+    found = decode_spots(plain[:1] + bytes([plain[1] | flag]) + plain[2:20] + bytes.fromhex(person) + plain[20:])
+    assert found.person_found == pytest.approx(0.2 if flag == 0x20 else 3.0 / 14.0)
+    assert found.person_named == () and found.spots == decode_spots(plain).spots
 
 
 def test_the_bytes_are_those_of_the_document() -> None:

@@ -45,7 +45,7 @@ def report(frame: int, count: int = 2, vehicle: str = VEHICLE) -> SpotReport:
         )
         named = (ThingKind.PERSON, 2.2) if temperature_c == 20.0 else (None, 0.0)
         spots.append(Spot(u, v + 17.0 * frame, 9.0, temperature_c, 15.0, Status.OK, place, 0.5, 0.1, (), False, *named))
-    return SpotReport(s.session, frame, s.capture_unix_ns, True, tuple(spots), 0, 0.8, 0.6, vehicle, (0.962,) * 20)
+    return SpotReport(s.session, frame, s.capture_unix_ns, True, tuple(spots), 0, 0.8, 0.6, vehicle, 0.962)
 
 
 @contextmanager

@@ -55,8 +55,9 @@ def link() -> Iterator[Link]:
             for s in SETS:
                 session.put(FEATURES.key("uav-1"), encode(s))
                 report = SpotReport(
-                    s.session, s.frame, s.capture_unix_ns, True, vehicle="uav-1", person_parts=(0.9,) * 20
-                )
+                    s.session, s.frame, s.capture_unix_ns, True, vehicle="uav-1", person_found=0.9,
+                    person_named=(0.9,) * 20,
+                )  # fmt: skip
                 session.put(SPOTS.key("uav-1"), encode_spots(report))
             session.put(STATUS.key("uav-1"), encode_status(status))
             session.put(FEATURES.key("uav-1"), b"PC nonsense")

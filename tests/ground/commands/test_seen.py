@@ -134,7 +134,7 @@ def sectors(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 @pytest.fixture(scope="module")
 def thermal(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Four looks at one place, in each of which a person would be found with 0.8."""
+    """Four looks at one place, by each of which 0.8 of the people there have been named."""
     return record_search(tmp_path_factory.mktemp("thermal") / "session.mcap", 4, (0.8,) * 20)
 
 
@@ -145,7 +145,7 @@ def test_each_sector_has_its_probability_of_detection(
     words = ("--from", thermal, "--cell", 1, "--polygon", sectors[kind], "--pod", "--look", 60)
     lines = printed(capsys, *words).splitlines()
     assert "4 of 4 pictures" in lines[-6]
-    assert lines[-5] == "POD 0.79 (0.36 to 0.79) by machine in sector A & B, 0 m2 left below 0.5"
+    assert lines[-5] == "POD 0.79 (0.79 to 0.79) by machine in sector A & B, 0 m2 left below 0.5"
     assert lines[-3].startswith("POD 0.00 (0.00 to 0.00) by machine in sector 4, 0.1")
     content = json.loads(printed(capsys, *words, "--json", "--below", 0.9, "--by", "operator"))["detection"]
     seen, unseen = content["sectors"]
@@ -172,7 +172,7 @@ def test_gaps_of_detection_are_exported_and_trees_make_more_of_them(
         assert raster.count == 6 and seen[4] == pytest.approx(0.786, abs=0.01) and 0.0 < seen[5] < 1.0
         assert gap_there[4:].tolist() == [0.0, 0.0]
     lines = printed(capsys, *words, "--woods", sectors["geojson"])
-    assert "POD 0.39 (0.18 to 0.39) by machine in sector A & B" in lines and "0.16 ha left" in lines
+    assert "POD 0.39 (0.39 to 0.39) by machine in sector A & B" in lines and "0.16 ha left" in lines
 
 
 def test_a_refused_picture_ends_the_time_for_the_one_before_it(

@@ -54,11 +54,14 @@ def level_set(
 
 
 def record_search(path: Path, pictures: int, parts: tuple[float, ...]) -> Path:
-    """Record looks straight down at one place, in each of which a person would be found with the shares of `parts`."""
+    """Record looks straight down at one place, at each of which these shares of people in its parts have been named."""
     with SessionRecorder(path, "uav") as out:
         for s in (level_set(frame) for frame in range(pictures)):
             out.write_set(s)
-            report = SpotReport(s.session, s.frame, s.capture_unix_ns, True, vehicle="uav", person_parts=parts)
+            found = sum(parts) / len(parts)
+            report = SpotReport(
+                s.session, s.frame, s.capture_unix_ns, True, vehicle="uav", person_found=found, person_named=parts
+            )
             out.write_report(SPOTS, s.capture_unix_ns, encode_spots(report))
     return path
 

@@ -52,6 +52,8 @@ def test_people_are_found_where_they_are_and_as_large_as_they_are() -> None:
         assert len(spot.outline_en_m) >= 8 and np.abs(spot.outline_en_m).max() < 0.7
     assert 0.9 < last.picture_share <= 1.0 and 0.2 < last.session_share < 0.6
     assert len(encode_spots(last)) <= 200 and len(decode_spots(encode_spots(last)).spots) == 2
+    assert [report.person_found for report in reports] == [1.0] * 4
+    assert [max(report.person_named) for report in reports] == [0.0, 0.0, 1.0, 1.0]  # in two reports
 
 
 def test_a_camera_with_its_own_gain_which_cuts_them_off_finds_one_and_states_no_temperature() -> None:
