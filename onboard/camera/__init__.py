@@ -11,7 +11,7 @@ Public:
 - `known_lenses`: `GIVEN_SIGMA`, `Lens`, `first_camera_file`, `known_lens`, `named_lens`
 - `photo_lens`: `FULL_FRAME_DIAGONAL_MM`
 - `photo_metadata`: `Focal`, `PhotoMetadata`, `read_photo`
-- `picture_files`: `FrameSource`, `PICTURE_SUFFIXES`, `open_frames`, `read_grey`
+- `picture_files`: `FrameSource`, `PICTURE_SUFFIXES`, `Video`, `open_frames`, `read_grey`
 - `picture_mask`: `read_mask`
 - `playback`: `PREFIX`
 - `pixel_formats`: `DECODERS`, `UNDECODABLE`

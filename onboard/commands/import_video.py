@@ -36,6 +36,7 @@ from onboard.replay.runner import check_overlap
 from onboard.telemetry.log_files import read_logs
 from onboard.telemetry.log_formats import SUFFIXES
 from onboard.telemetry.mp4_container import creation_ns
+from onboard.telemetry.own_video import another_length
 from onboard.telemetry.telemetry_log import NS_PER_S, TelemetryLog
 from onboard.telemetry.transport_stream import has_metadata
 from onboard.telemetry.video_reader import has_telemetry, other_telemetry
@@ -44,6 +45,7 @@ RATE_HZ = 5.0  # pictures taken out of a faster video: enough for the window, an
 CUT_S = (0.5, 0.29)  # by which a beginning cut to the second is too early, and one sigma of that
 SIGMA_FRAME_S = 0.01  # of a frame's time against the others'
 START = ", or when the video began, --start TIME"
+CUT = ". Of a video whose first S seconds were cut off: --clock-offset -S"
 
 
 @dataclass(frozen=True)
@@ -79,19 +81,21 @@ def run(arguments: argparse.Namespace) -> int:
     if not times_s:
         raise InputError(f"{video}: no time stamps on its frames: give replay --stamps with index,unix_time_s")
     stamps_ns = None if arguments.stamps is None else stamps_of_frames(arguments.stamps, len(times_s), video.name)
-    began = _beginning(video, log, arguments) if stamps_ns is None else _by_stamps(stamps_ns, arguments)
+    another = another_length(log, times_s[-1])
+    began = _beginning(video, log, another, arguments) if stamps_ns is None else _by_stamps(stamps_ns, arguments)
     optics = optics_of(size_px, _focal(log, paths, size_px), video.parent, settings)
     sections, mount = mount_by_log(log)
     rows = rolling_shutter(sections)
     moments_ns = stamps_ns or [began.unix_ns + round(time_s * 1e9) for time_s in times_s]
     assumed = [mount, rows]
-    if log.video_epoch_ns is None or stamps_ns is not None:
+    if log.video_epoch_ns is None or another or stamps_ns is not None:
         config = parse_config(config_text(sections, settings))
         pictures = frames(video, times_s)
         is_given = arguments.start is None and arguments.clock_offset is not None
         stated = began.stated if began.is_own else against_log(began.stated, log, is_given)
+        advice = f"; {another}{CUT}" if another else START if log.utc_sigma_s is not None else ""
         clock = clock_of(
-            replace(log, shots_ns=()), config, optics.camera, moments_ns, SIGMA_FRAME_S, pictures, stated, START
+            replace(log, shots_ns=()), config, optics.camera, moments_ns, SIGMA_FRAME_S, pictures, stated, advice
         )
         moments_ns = [moment_ns + round(clock.offset_s * 1e9) for moment_ns in moments_ns]
         sections["camera"] |= {"sigma_latency_s": f"{clock.sigma_s:.3f}"}
@@ -129,8 +133,16 @@ def _size(video: Path) -> tuple[int, int]:
     return size_px
 
 
-def _beginning(video: Path, log: TelemetryLog, arguments: argparse.Namespace) -> _Beginning:
-    """Return the beginning by the subtitles, else as given, by the name, or by the file. Raises InputError."""
+def _beginning(video: Path, log: TelemetryLog, another: str, arguments: argparse.Namespace) -> _Beginning:
+    """Return the beginning by the subtitles, else as given, by the name, or by the file; `another`: in words, why the
+    subtitles are not this video's, or not the whole of it. Raises InputError.
+    """
+    if log.video_epoch_ns is not None and another:
+        stated = None
+        if arguments.clock_offset is not None:
+            ahead_s, sigma_s = arguments.clock_offset
+            stated = Stated(-ahead_s, sigma_s, "--clock-offset")
+        return _Beginning(log.video_epoch_ns, another, stated, is_own=True)
     if log.video_epoch_ns is not None:
         return _Beginning(log.video_epoch_ns, "as its log counts")
     if log.video_began is not None and set(arguments.telemetry) <= {video} and arguments.start is None:

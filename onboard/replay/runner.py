@@ -23,7 +23,7 @@ from contract.camera import Camera
 from contract.errors import InputError
 from contract.feature_set import FeatureSet
 from onboard.camera.photo_metadata import read_photo
-from onboard.camera.picture_files import FrameSource, open_frames
+from onboard.camera.picture_files import FrameSource, Video, open_frames
 from onboard.config.schema import Config
 from onboard.events.sink import Sink
 from onboard.events.types import Event, Frame
@@ -31,6 +31,7 @@ from onboard.pipeline.estimates import as_rows
 from onboard.replay.digital_zoom import at_one_zoom, optical_zoom
 from onboard.replay.photo_telemetry import check_gaps, photo_telemetry
 from onboard.telemetry.log_files import read_logs
+from onboard.telemetry.own_video import another_length
 from onboard.telemetry.read_options import ReadOptions
 from onboard.telemetry.srt_axis_order import Order
 from onboard.telemetry.telemetry_log import TelemetryLog
@@ -93,6 +94,10 @@ class Flight:
         source = open_frames(
             frames, camera, stamps, latency_s, whole, log.video_epoch_ns, max_rate_hz, in_colour, config.thermal.enabled
         )
+        if stamps is None and isinstance(source, Video) and (why := another_length(log, source.last_s)):
+            raise InputError(
+                f"frames {frames}: {why}: pc-onboard import-video searches when it began, or give --stamps"
+            )
         zooms, words = optical_zoom(camera, log.focal_mm, log.digital_zoom, log.span_ns[1])
         camera, source = at_one_zoom(camera, source, log.digital_zoom)
         if words:

@@ -12,6 +12,7 @@ Public:
 - `mavlink_passage`: `SIGNATURE_BYTES`
 - `mp4_container`: `creation_ns`
 - `mrk_reader`: `read_mrk`
+- `own_video`: `another_length`
 - `pointing`: `Pointing`
 - `read_options`: `ReadOptions`
 - `row_events`: `SIGMA_GEOID_M`, `SIGMA_PRESSURE_HEIGHT_M`

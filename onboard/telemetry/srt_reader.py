@@ -27,6 +27,7 @@ from typing import TypeGuard
 from contract.errors import InputError
 from onboard.events.types import GpsQuality, NavEvent, PositionFix
 from onboard.telemetry.contradictions import agreeing, beginning
+from onboard.telemetry.own_video import extent_s
 from onboard.telemetry.row_events import SIGMA_PRESSURE_HEIGHT_M, SIGMA_UNSPECIFIED_M
 from onboard.telemetry.srt_axis_order import (
     MAX_SATELLITES,
@@ -38,6 +39,7 @@ from onboard.telemetry.srt_axis_order import (
 )
 from onboard.telemetry.telemetry_log import (
     EMPTY_EPOCH_NS,
+    NS_PER_S,
     TelemetryLog,
     attitudes,
     gimbal_attitudes,
@@ -145,6 +147,7 @@ def log_of_subtitles(
     return replace(
         TelemetryLog.by_stamp(events),
         video_epoch_ns=epoch_ns,
+        video_s=extent_s([s.at_ns / NS_PER_S for s in subtitles]),
         utc_sigma_s=None,
         notes=(*notes, *dates, *contradictions, *_stabilisation_note(subtitles), *_height_note(claims)),
         digital_zoom=_steps((epoch_ns + s.at_ns, s.dzoom) for s in subtitles),

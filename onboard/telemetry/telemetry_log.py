@@ -45,7 +45,8 @@ class TelemetryLog:
     """Events in order of arrival, each with its arrival time (ns, same length).
 
     `system` is the vehicle's MAVLink system number, 0 where the format has none; `boot_segments` how often its clock
-    began. `video_epoch_ns`: when the video began that the log was written with, if it was written with one.
+    began. `video_epoch_ns`: when the video began that the log was written with, if it was written with one; `video_s`:
+    on its own time, when the last of what was written begins, and how far these usually are apart (s).
     `digital_zoom`: from which moment on the camera enlarged its pictures, and how often; `focal_mm` from when on it had
     which focal length, equivalent to 35 mm film. `notes`: what the operator
     should know of how the log was read, one line each. `shots_ns`: when a camera's shutter was triggered or reported.
@@ -67,6 +68,7 @@ class TelemetryLog:
     utc_sigma_s: float | None = 0.0
     video_began: tuple[int, float] | None = None
     tied: Tied = Tied()
+    video_s: tuple[float, float] | None = None
 
     @classmethod
     def by_stamp(cls, events: Iterable[NavEvent], boot_segments: int = 1) -> TelemetryLog:

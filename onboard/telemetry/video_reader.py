@@ -12,6 +12,7 @@ from contract.errors import InputError
 from onboard.telemetry import exiftool_reader, gpmf, parrot, picture_telemetry
 from onboard.telemetry.field_of_view import focal_lengths
 from onboard.telemetry.mp4_container import Track, creation_ns, tracks_of
+from onboard.telemetry.own_video import extent_s
 from onboard.telemetry.read_options import ReadOptions
 from onboard.telemetry.row_events import SIGMA_GEOID_M, log_of_rows, with_heights
 from onboard.telemetry.srt_reader import log_of_subtitles
@@ -107,4 +108,6 @@ def _parrot(track: Track, created_ns: int | None) -> TelemetryLog:
         raise InputError(f"none of the {len(track.samples)} samples of its Parrot track has a position: no fix")
     notes = [f"{flight.without} of {len(flight.rows)} samples have no position"] if flight.without else []
     log = log_of_rows(flight.rows, notes, utc_sigma_s, is_repeated=True)
-    return replace(log, video_epoch_ns=began_ns, focal_mm=focal_lengths(flight.widths_deg))
+    return replace(
+        log, video_epoch_ns=began_ns, video_s=extent_s(track.times_s), focal_mm=focal_lengths(flight.widths_deg)
+    )

@@ -306,7 +306,7 @@ def test_what_ardupilot_s_camera_wrote_into_each_picture_is_the_video_s_log(
 
 
 def test_angles_in_the_log_say_how_the_camera_is_held(tmp_path: Path) -> None:
-    video = clip(tmp_path / "clip.mp4")
+    video = clip(tmp_path / "clip.mp4", 120)  # as long as the subtitles
     for kind, gimbal, attitude in (("srt", "always", "autopilot"), ("tlog", "auto", "autopilot")):
         log = written(tmp_path, kind)
         out = tmp_path / kind
@@ -314,6 +314,22 @@ def test_angles_in_the_log_say_how_the_camera_is_held(tmp_path: Path) -> None:
         assert main(["import-video", str(video), "--telemetry", str(log), "--out", str(out), *start]) == 0
         config = load_config_files(out / "config.toml")
         assert (config.mount.gimbal, config.solve.attitude) == (gimbal, attitude), kind
+
+
+def test_subtitles_of_a_longer_video_are_on_a_clock_that_is_searched_or_stated(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """They were taken for its own: of a video whose first six seconds were cut off all clicks were 59 m off."""
+    log = written(tmp_path, "srt")
+    video = clip(tmp_path / "cut.mp4")
+    assert imported(tmp_path, video, "--telemetry", log) == 2
+    complaint = capsys.readouterr().err
+    assert "error: clock: " in complaint and complaint.count("\n") == 1
+    assert "a video of 12.0 s and it has 1.9 s" in complaint and "--clock-offset -S" in complaint
+    assert imported(tmp_path, video, "--telemetry", log, "--clock-offset=-6.0") == 0
+    first = (tmp_path / "flight" / "stamps.csv").read_text().splitlines()[1]
+    assert float(first.split(",")[1]) == pytest.approx(T0_S + 6.0, abs=0.1)
+    assert load_config_files(tmp_path / "flight" / "config.toml").camera.sigma_latency_s > 0.05
 
 
 def test_a_lens_of_which_nothing_is_known_is_wide_and_open(tmp_path: Path) -> None:

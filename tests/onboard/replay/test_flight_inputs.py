@@ -19,13 +19,25 @@ CAMERA = Camera.from_field_of_view(64, 48, 40.0)
 
 def test_a_video_next_to_its_subtitles_needs_no_stamps_and_no_name(tmp_path: Path) -> None:
     """Their own times are the video's, to the frame, whatever the clock in either says."""
-    video = tmp_path / "DJI_0042.MP4"
-    writer = cv2.VideoWriter(str(video), cv2.VideoWriter.fourcc(*"mp4v"), 30.0, (64, 48))
-    for i in range(90):
-        writer.write(np.full((48, 64, 3), i, np.uint8))
+    log = written(tmp_path, "srt")
+    flight = Flight.open(Config(), CAMERA, video_of(tmp_path / "DJI_0042.MP4", 360), log, None)
+    assert flight.stamps_ns == [round(T0_S * 1e9) + round(i / 30 * 1e9) for i in range(360)]
+
+
+@pytest.mark.parametrize("frames", [340, 396])
+def test_of_a_video_that_was_cut_or_is_another_the_subtitles_times_are_not_its_own(tmp_path: Path, frames: int) -> None:
+    """The first six seconds cut off put all clicks 59 m off with an ellipse of 17 m, and no word of it."""
+    video = video_of(tmp_path / "cut.MP4", frames)
+    with pytest.raises(InputError, match=r"its log is of a video of 12\.0 s and it has .* import-video"):
+        Flight.open(Config(), CAMERA, video, written(tmp_path, "srt"), None)
+
+
+def video_of(path: Path, frames: int) -> Path:
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 30.0, (64, 48))
+    for i in range(frames):
+        writer.write(np.full((48, 64, 3), i % 256, np.uint8))
     writer.release()
-    flight = Flight.open(Config(), CAMERA, video, written(tmp_path, "srt"), None)
-    assert flight.stamps_ns == [round(T0_S * 1e9) + round(i / 30 * 1e9) for i in range(90)]
+    return path
 
 
 def photographs(folder: Path, seconds: list[int]) -> Path:
