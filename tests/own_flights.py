@@ -88,6 +88,22 @@ def vary_rate(video: Path, apart: list[int]) -> None:
     video.write_bytes(data)
 
 
+def turn(video: Path) -> None:
+    """Into an MP4 of OpenCV's, that it is to be shown turned by a quarter, as a phone's held upright is."""
+    data = bytearray(video.read_bytes())
+    struct.pack_into(">9i", data, data.index(b"tkhd") + 44, 0, 1 << 16, 0, -(1 << 16), 0, 0, 0, 0, 1 << 30)
+    video.write_bytes(data)
+
+
+def show_from(video: Path, begin_s: float, lasts_s: float) -> None:
+    """Into an MP4 of OpenCV's, of what part it is to be shown, as programs cut that leave the pictures as they are."""
+    data = bytearray(video.read_bytes())
+    units_hz, per_s = (struct.unpack_from(">I", data, data.index(box) + 16)[0] for box in (b"mdhd", b"mvhd"))
+    edit = round(lasts_s * per_s), round(begin_s * units_hz)
+    struct.pack_into(">Ii", data, data.index(b"elst") + 12, *edit)
+    video.write_bytes(data)
+
+
 def set_creation(video: Path, moment: datetime) -> None:
     """Into the header of an MP4 of OpenCV's, when it was begun."""
     data = bytearray(video.read_bytes())

@@ -11,7 +11,7 @@ from __future__ import annotations
 import bisect
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -39,6 +39,9 @@ from onboard.events.types import Frame
 PICTURE_SUFFIXES = {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".pgm", ".ppm", ".pnm", ".webp", ".jp2"}
 SIXTEEN_BIT_MODES = {"I;16", "I;16B", "I;16L", "I"}
 SAME_S = 5e-4  # of two times of one frame
+# Frames at a video's end that it has and no decoder shows: of one that was cut by an edit list, those that others are
+# decoded from (H.264 and H.265 keep 16 at most).
+MOST_UNSHOWN = 16
 SIXTEEN_BIT_VIDEO = int.from_bytes(b"Y1\0\x10", "little")  # FFmpeg's gray16le, as OpenCV names it
 Raw = NDArray[np.uint8] | NDArray[np.uint16]
 WITHOUT_FFMPEG = Path(cv2.__file__).parent / "WITHOUT_FFMPEG"  # there if FFmpeg was left out (packaging/slim.py)
@@ -126,6 +129,11 @@ def _thinned(stamped: list[_Stamped], max_rate_hz: float) -> list[_Stamped]:
         if not out or (item.stamp_ns - out[-1].stamp_ns) / 1e9 >= 0.9 / max_rate_hz:
             out.append(item)
     return out
+
+
+def _without_picture(stamped: list[_Stamped], numbers: Mapping[str, int]) -> Iterator[Frame]:
+    """Frames that have a number, and that no decoder shows."""
+    return (Frame(item.stamp_ns, numbers[item.name], None, item.name) for item in stamped if item.name in numbers)
 
 
 class PictureFolder:
@@ -350,7 +358,8 @@ class Video:
     def frames(self) -> Iterator[Frame]:
         """Decode and yield each picture; raises InputError where the video ends too early.
 
-        By the container's times a frame that the decoder leaves out has no picture, and moves no other's stamp.
+        By the container's times a frame that the decoder leaves out, also at the end, has no picture, and moves no
+        other's stamp.
         """
         numbers = {item.name: number for number, item in enumerate(self._stamped)}
         last = self._all.index(self._stamped[-1])
@@ -359,11 +368,12 @@ class Video:
         try:
             while index <= last:
                 if not capture.grab():
-                    raise InputError(f"frames {self.path}: frame {index} of {len(self._all)} cannot be decoded")
+                    if index == 0 or len(self._all) - index > MOST_UNSHOWN:
+                        raise InputError(f"frames {self.path}: frame {index} of {len(self._all)} cannot be decoded")
+                    yield from _without_picture(self._all[index:], numbers)
+                    return
                 shown = self._place_of(float(capture.get(cv2.CAP_PROP_POS_MSEC)) / 1e3, index)
-                for item in self._all[index:shown]:
-                    if item.name in numbers:
-                        yield Frame(item.stamp_ns, numbers[item.name], None, item.name)
+                yield from _without_picture(self._all[index:shown], numbers)
                 item, index = self._all[shown], shown + 1
                 if item.name in numbers:
                     yield self._frame(capture, item, numbers[item.name], thermal)

@@ -124,6 +124,7 @@ def _size(video: Path) -> tuple[int, int]:
     if not video.is_file():
         raise InputError(f"{video}: no such video")
     capture = cv2.VideoCapture(str(video))
+    capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)  # as the sensor has them, whichever way it is to be shown
     try:
         size_px = int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
     finally:

@@ -2,6 +2,7 @@
 
 import csv
 import shutil
+from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -33,7 +34,7 @@ from tests.onboard.telemetry.log_writers import (
     written,
 )
 from tests.onboard.telemetry.picture_messages import message, snapshot
-from tests.own_flights import set_creation, vary_rate, with_metadata, write_video
+from tests.own_flights import set_creation, show_from, turn, vary_rate, with_metadata, write_video
 from tests.rest_long import rest_long
 from tests.scenarios.flights import simulated
 
@@ -314,6 +315,20 @@ def test_angles_in_the_log_say_how_the_camera_is_held(tmp_path: Path) -> None:
         assert main(["import-video", str(video), "--telemetry", str(log), "--out", str(out), *start]) == 0
         config = load_config_files(out / "config.toml")
         assert (config.mount.gimbal, config.solve.attitude) == (gimbal, attitude), kind
+
+
+@pytest.mark.parametrize("change", [turn, lambda video: show_from(video, 0.55, 1.0)])
+def test_a_video_that_is_shown_turned_or_in_part_is_read_to_its_end(
+    tmp_path: Path, change: Callable[[Path], None]
+) -> None:
+    """A turned one had another size when it was opened than when it was read; of a cut one a frame is not shown."""
+    video = clip(tmp_path / "20260612T101525Z.mp4")
+    change(video)
+    assert imported(tmp_path, video, "--telemetry", table(tmp_path), "--clock-offset", "0") == 0
+    camera = Camera.from_json(tmp_path / "flight" / "camera.json")
+    assert camera.size_px == (64, 48)
+    frames = list(open_frames(video, camera).frames())
+    assert len(frames) in (11, 20) and sum(frame.image is not None for frame in frames) >= len(frames) - 1
 
 
 def test_subtitles_of_a_longer_video_are_on_a_clock_that_is_searched_or_stated(
