@@ -14,6 +14,7 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from onboard.telemetry.mp4_edits import Edit, edits_of, late_s, shown_s
 from onboard.telemetry.row_events import MAX_UNIX_S, MIN_UNIX_S
 from onboard.telemetry.telemetry_log import NS_PER_S
 
@@ -28,7 +29,7 @@ Box = tuple[bytes, int, int]  # kind, begin and end of the content
 @dataclass(frozen=True, eq=False)
 class Track:
     """A track that has no pictures and no sound: its handler and the kind of its samples (four characters each), what
-    describes them, and each sample's time (s, on the video's own) and content.
+    describes them, and each sample's time (s, as it is shown, since the first picture) and content.
     """
 
     handler: str
@@ -68,15 +69,37 @@ def tracks_of(path: Path) -> list[Track]:
     try:
         with path.open("rb") as stream:
             moov = _first(stream, 0, path.stat().st_size, b"moov")
-            for kind, *content in _boxes(stream, *moov) if moov is not None else ():
-                if kind == b"trak" and (track := _track(stream, *content)) is not None:
+            boxes = [] if moov is None else list(_boxes(stream, *moov))
+            movie_hz = next((_rate_hz(_read(stream, (a, b))) for kind, a, b in boxes if kind == b"mvhd"), 0.0)
+            tracks = [(a, b) for kind, a, b in boxes if kind == b"trak"]
+            late = next((found for track in tracks if (found := _late_s(stream, *track, movie_hz)) is not None), 0.0)
+            for content in tracks:
+                if (track := _track(stream, *content, movie_hz, late)) is not None:
                     out.append(track)
-    except (OSError, struct.error):
+    except (OSError, IndexError, struct.error):
         return out
     return out
 
 
-def _track(stream: BinaryIO, start: int, end: int) -> Track | None:
+def _late_s(stream: BinaryIO, start: int, end: int, movie_hz: float) -> float | None:
+    """When a track of pictures begins to be shown, s; None for another track."""
+    try:
+        media = dict(_inside(stream, start, end, b"mdia"))
+        is_of_pictures = _read(stream, media[b"hdlr"])[8:12] == b"vide"
+        return late_s(_edits(stream, start, end, movie_hz, 1.0)) if is_of_pictures else None
+    except (KeyError, ValueError, struct.error):
+        return None
+
+
+def _edits(stream: BinaryIO, start: int, end: int, movie_hz: float, media_hz: float) -> list[Edit]:
+    """The edits of a track; without a list it is shown as it is."""
+    around = _first(stream, start, end, b"edts")
+    found = None if around is None else _first(stream, *around, b"elst")
+    return [] if found is None else edits_of(_read(stream, found), movie_hz, media_hz)
+
+
+def _track(stream: BinaryIO, start: int, end: int, movie_hz: float, pictures_s: float) -> Track | None:
+    """A track; `pictures_s`: when the first picture is shown."""
     try:
         media = dict(_inside(stream, start, end, b"mdia"))
         handler = _read(stream, media[b"hdlr"])[8:12]
@@ -84,7 +107,10 @@ def _track(stream: BinaryIO, start: int, end: int) -> Track | None:
             return None
         table = dict(_inside(stream, *media[b"minf"], b"stbl"))
         entry = _read(stream, table[b"stsd"])[8:]
-        times_s = _times(_read(stream, table[b"stts"]), _rate_hz(_read(stream, media[b"mdhd"])))
+        if (media_hz := _rate_hz(_read(stream, media[b"mdhd"]))) < 1.0:
+            return None
+        times_s = _times(_read(stream, table[b"stts"]), media_hz)
+        shown = shown_s(times_s, _edits(stream, start, end, movie_hz, media_hz)) - pictures_s
         sizes = _sizes(_read(stream, table[b"stsz"]))
         chunks = (
             _numbers(_read(stream, table[b"stco"]), 4)
@@ -96,11 +122,12 @@ def _track(stream: BinaryIO, start: int, end: int) -> Track | None:
         return None
     if len(times_s) != len(sizes) or int(sizes.sum()) > MOST_TABLE:
         return None
+    is_shown = np.isfinite(shown)
     samples = []
-    for at, size in zip(places.tolist(), sizes.tolist(), strict=True):
+    for at, size in zip(places[is_shown].tolist(), sizes[is_shown].tolist(), strict=True):
         stream.seek(at)
         samples.append(stream.read(size))
-    return Track(_text(handler), _text(entry[4:8]), entry, tuple(times_s.tolist()), tuple(samples))
+    return Track(_text(handler), _text(entry[4:8]), entry, tuple(shown[is_shown].tolist()), tuple(samples))
 
 
 def _inside(stream: BinaryIO, start: int, end: int, name: bytes) -> Iterator[tuple[bytes, tuple[int, int]]]:
@@ -144,10 +171,8 @@ def _read(stream: BinaryIO, content: tuple[int, int]) -> bytes:
 
 
 def _rate_hz(header: bytes) -> float:
-    """The time units in a second, of a media header (8.4.2)."""
+    """The time units in a second, of a movie's header (8.2.2) or a track's (8.4.2); 0 where it has none."""
     (units,) = struct.unpack_from(">I", header, 20 if header[0] else 12)
-    if units < 1:
-        raise ValueError
     return float(units)
 
 

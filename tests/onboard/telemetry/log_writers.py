@@ -411,7 +411,10 @@ def box(name: bytes, *content: bytes) -> bytes:
     return struct.pack(">I4s", 8 + len(b"".join(content)), name) + b"".join(content)
 
 
-def track(handler: bytes, kind: bytes, samples: list[bytes], starts_s: list[float], begin: int, about: bytes) -> bytes:
+def track(
+    handler: bytes, kind: bytes, samples: list[bytes], starts_s: list[float], begin: int, about: bytes,
+    edits: bytes = b"",
+) -> bytes:  # fmt: skip
     """A track whose samples lie one after the other from `begin` on; `about` describes them."""
     apart = [round(1000 * (b - a)) for a, b in itertools.pairwise([*starts_s, starts_s[-1] + 1.0])][: len(samples)]
     places = list(itertools.accumulate(map(len, samples), initial=begin))[: len(samples)]
@@ -423,17 +426,19 @@ def track(handler: bytes, kind: bytes, samples: list[bytes], starts_s: list[floa
         box(b"stco", struct.pack(f">4xI{len(places)}I", len(places), *places)),
     )  # fmt: skip
     media = box(b"mdhd", struct.pack(">12xIIxxxx", 1000, 0)), box(b"hdlr", b"\0" * 8, handler, b"\0" * 13)
-    return box(b"trak", box(b"mdia", *media, box(b"minf", table)))
+    return box(b"trak", edits, box(b"mdia", *media, box(b"minf", table)))
 
 
 def mp4(
-    kind: bytes, samples: list[bytes], starts_s: list[float], handler: bytes = b"meta", about: bytes = b""
-) -> bytes:
+    kind: bytes, samples: list[bytes], starts_s: list[float], handler: bytes = b"meta", about: bytes = b"",
+    of_video: bytes = b"", of_track: bytes = b"",
+) -> bytes:  # fmt: skip
     """A container with one track besides a video's empty one; what describes it stands before the content."""
 
     def head(begin: int) -> bytes:
-        tracks = track(b"vide", b"avc1", [], [0.0], 0, b""), track(handler, kind, samples, starts_s, begin, about)
-        return box(b"ftyp", b"mp42\0\0\0\0") + box(b"moov", box(b"mvhd", bytes(100)), *tracks)
+        more = track(handler, kind, samples, starts_s, begin, about, of_track)
+        movie = box(b"mvhd", struct.pack(">12xI84x", 1000)), track(b"vide", b"avc1", [], [0.0], 0, b"", of_video)
+        return box(b"ftyp", b"mp42\0\0\0\0") + box(b"moov", *movie, more)
 
     return head(len(head(0)) + 8) + box(b"mdat", *samples)
 

@@ -16,7 +16,7 @@ from onboard.telemetry.log_files import read_log
 from onboard.telemetry.telemetry_log import TelemetryLog, quaternion
 from tests.bench.image.host import install
 from tests.left_out import NO_PROGRAM
-from tests.onboard.telemetry.log_writers import gpmf, mp4
+from tests.onboard.telemetry.log_writers import box, gpmf, mp4
 
 BEGAN_NS = 1_780_308_000 * 10**9  # 2026-06-01 10:00:00
 SUBTITLE = "2026-06-01 10:00:0{0}.000 [latitude: 47.10000{0}] [longitude: 8.2] [rel_alt: 30.1 abs_alt: 501.3]"
@@ -25,6 +25,15 @@ SUBTITLE = "2026-06-01 10:00:0{0}.000 [latitude: 47.10000{0}] [longitude: 8.2] [
 def read(tmp_path: Path, content: bytes) -> TelemetryLog:
     (tmp_path / "video.MP4").write_bytes(content)
     return read_log(tmp_path / "video.MP4")
+
+
+Parts = tuple[tuple[float, float | None], ...]
+
+
+def edits(*parts: tuple[float, float | None]) -> bytes:
+    """A list of edits, of a thousand units a second: how long each lasts, s, and where it begins; None: empty."""
+    rows = [(round(1000 * lasts), -1 if begins is None else round(1000 * begins)) for lasts, begins in parts]
+    return box(b"edts", box(b"elst", struct.pack(">4xI", len(rows)), *(struct.pack(">Ii4x", *row) for row in rows)))
 
 
 def five(utc: bytes, lat_deg: float, fix: int = 3, origin: bytes = b"") -> bytes:
@@ -64,6 +73,30 @@ def test_subtitles_in_a_video_are_as_those_next_to_it(tmp_path: Path) -> None:
     assert log.video_epoch_ns == BEGAN_NS
     assert [(fix.stamp_ns - BEGAN_NS) // 10**9 for fix in fixes] == [0, 1, 2]
     assert [fix.lat_deg for fix in fixes] == [47.1, 47.100001, 47.100002]
+
+
+@pytest.mark.parametrize(
+    ("of_video", "of_texts", "shown_s"),
+    [
+        ((), ((2.0, 1.0),), {1: 0.0, 2: 1.0}),  # the first second cut off
+        ((), ((0.5, None), (3.0, 0.0)), {0: 0.5, 1: 1.5, 2: 2.5}),  # they begin later
+        (((0.5, None), (3.0, 0.0)), (), {0: -0.5, 1: 0.5, 2: 1.5}),  # the pictures do
+        ((), ((1.0, 2.0), (1.0, 0.0)), {2: 0.0, 0: 1.0}),
+        ((), ((0.0, 1.0),), {1: 0.0, 2: 1.0}),  # to its end
+    ],
+)
+def test_what_is_cut_off_a_video_is_cut_off_its_subtitles(
+    tmp_path: Path, of_video: Parts, of_texts: Parts, shown_s: dict[int, float]
+) -> None:
+    """Of one that a program had cut without touching the pictures they were late by what was cut off."""
+    texts = [SUBTITLE.format(k).encode() for k in range(3)]
+    samples = [struct.pack(">H", len(text)) + text for text in texts]
+    of_both = {"of_video": edits(*of_video), "of_track": edits(*of_texts)}
+    log = read(tmp_path, mp4(b"tx3g", samples, [0.0, 1.0, 2.0], b"sbtl", **of_both))
+    fixes = [event for event in log.events if isinstance(event, PositionFix)]
+    assert log.video_epoch_ns is not None
+    found = {round((fix.lat_deg - 47.1) * 1e6): (fix.stamp_ns - log.video_epoch_ns) / 1e9 for fix in fixes}
+    assert found == pytest.approx(shown_s)
 
 
 @pytest.mark.parametrize(
