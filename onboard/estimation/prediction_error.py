@@ -93,9 +93,8 @@ def prediction_sigma_px(
     by_depth = (R_cam_enu[:2] @ way_m) / depth_m * _clearance_sigma(window, now, clearance_m)
     by_turn = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]) @ R_cam_enu
     covariance = by_way @ by_way.T + np.outer(by_depth, by_depth) + by_turn @ turned @ by_turn.T
-    if now.velocity_enu_m_s is not None:
-        late = (R_cam_enu[:2] @ now.velocity_enu_m_s) / depth_m * _jitter_s(window, now)
-        covariance += 2.0 * np.outer(late, late)
+    late = (R_cam_enu[:2] @ now.motion_enu_m_s) / depth_m * _jitter_s(window, now)
+    covariance += 2.0 * np.outer(late, late)
     return window.camera.focal_px * float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
 
 

@@ -79,7 +79,7 @@ class Sensors:
 
     @cached_property
     def velocities_enu_m_s(self) -> Array:
-        """(K, 3); zero where none is known."""
+        """(K, 3): measured, else by the positions; zero where nothing is known."""
         return _velocities(self.keyframes)
 
     @cached_property
@@ -142,7 +142,7 @@ def _stamps_s(keyframes: Sequence[Keyframe]) -> Array:
 
 
 def _velocities(keyframes: Sequence[Keyframe]) -> Array:
-    return np.stack([np.zeros(3) if k.nav.velocity_enu_m_s is None else k.nav.velocity_enu_m_s for k in keyframes])
+    return np.stack([k.nav.motion_enu_m_s for k in keyframes])
 
 
 def _fading(stamps_s: Array, sigma: Array) -> Array:
@@ -169,8 +169,7 @@ def travelled_sigma_m(config: Config, one: NavState, other: NavState) -> Array:
     slow_m, white_m = _claims_m(navs)
     forgotten = 1.0 - np.exp(-abs(other.stamp_ns - one.stamp_ns) / 1e9 / gps.correlation_time_s)
     between_m = np.stack([n.joined.between_m for n in navs])
-    velocities = [n.velocity_enu_m_s for n in navs if n.velocity_enu_m_s is not None]
-    faster = velocities[1] - velocities[0] if len(velocities) == 2 else np.zeros(3)
+    faster = other.motion_enu_m_s - one.motion_enu_m_s
     late_m = faster * np.hypot(gps.sigma_latency_s, config.camera.sigma_latency_s)
     squares = 2.0 * forgotten * slow_m**2 + np.sum(white_m.T**2 + between_m**2, axis=0) + late_m**2
     out: Array = np.sqrt(squares)

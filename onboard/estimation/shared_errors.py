@@ -108,7 +108,7 @@ def make_sensor_pose(
     `stamp_error`: one sigma of the picture's own stamp (s), and how fast the vehicle turns (rad/s).
     """
     solve, gps = config.solve, config.gps
-    speed = np.zeros(3) if nav.velocity_enu_m_s is None else nav.velocity_enu_m_s
+    speed = nav.motion_enu_m_s
     attitude = attitude_sigma_rad(config, factors)
     factor = np.linalg.cholesky(platform.covariance)
     if nav.R_enu_body is not None:

@@ -55,7 +55,9 @@ class NavState:
     """The vehicle at one exposure. Position and velocity in `Navigation.frame`, attitude in ENU axes at the vehicle.
 
     `velocity_enu_m_s` and `R_enu_body` are None where the log has none, or none near enough; `R_enu_body` also where
-    `solve.attitude` is "none". The sigmas are the receiver's claim for the Gauss-Markov error, bounded below by the
+    `solve.attitude` is "none". `motion_enu_m_s` is the velocity, else that of the positions about it: an error of
+    time moves the state along it; 0 where nothing is known. The sigmas are the receiver's claim for the Gauss-Markov
+    error, bounded below by the
     configuration, and jumps that nothing has explained; `sigma_white_m` is the dispersion of positions about their own
     velocity, bounded likewise. `mount_hypotheses` holds R_enu_body by every mount hypothesis while more than one is
     possible. States of different `stretch` must not be compared: the position jumped, or the frame moved, between them.
@@ -81,6 +83,13 @@ class NavState:
     yaw_sigma_rad: float = 0.0  # of the yaw as a whole, where a gimbal's counts from nowhere
     sigma_velocity_m_s: float = 0.0  # of the velocity, as the receiver or the filter claims; 0: neither does
     joined: Joined = field(default_factory=Joined)  # from which positions
+    path_velocity_enu_m_s: Array | None = None  # by the positions, where none is measured
+
+    @property
+    def motion_enu_m_s(self) -> Array:
+        """The velocity (3,): measured, else by the positions about it; 0 where nothing is known."""
+        velocities = (self.velocity_enu_m_s, self.path_velocity_enu_m_s)
+        return next((v for v in velocities if v is not None), np.zeros(3))
 
 
 class Navigation:
@@ -300,6 +309,7 @@ class Navigation:
             0.0 if R_enu_body is None or not self._uses_gimbal else self._yaw_sigma_rad,
             self._integrity.velocity_claim_m_s(moment_ns),
             positions.joined_at(place_ns),
+            None if position.velocity_enu_m_s is not None else positions.slope_at(place_ns, RECENT_NS // 2),
         )
 
     def was_accepted(self, start_ns: int, end_ns: int) -> bool:
@@ -351,14 +361,6 @@ class Navigation:
         """
         turn = None if self._uses_gimbal else self._attitudes.turned(start_ns, end_ns)
         return None if turn is None else (turn, self._attitudes.turned_sigma(start_ns, end_ns, white_rad))
-
-    def velocity_at(self, nav: NavState) -> Array:
-        """Velocity (3,), ENU m/s, of a state: measured, else by the positions about it; 0 where nothing is known."""
-        if nav.velocity_enu_m_s is not None:
-            return nav.velocity_enu_m_s
-        positions = self._integrity.positions
-        bracket = positions.bracket(nav.stamp_ns)
-        return np.zeros(3) if bracket is None else positions.velocity(bracket[0], RECENT_NS // 2)
 
     def displacement(self, start_ns: int, end_ns: int) -> Displacement | None:
         """Distance travelled by the velocities alone (trapezium rule); None where any is missing."""

@@ -116,6 +116,16 @@ class Path(Series[Position]):
         slope: Array = (self.values[last].enu_m - self.values[first].enu_m) / self.seconds(first, last)
         return slope if known is None else np.where(np.isfinite(known), known, slope)
 
+    def slope_at(self, moment_ns: int, reach_ns: int) -> Array | None:
+        """A velocity (3,) by the positions alone that are within `reach_ns`; None beyond them all."""
+        bracket = self.bracket(moment_ns)
+        if bracket is None:
+            return None
+        s = 0.0 if bracket[0] == bracket[1] else self.share(*bracket, moment_ns)
+        before, after = (self.velocity(index, reach_ns) for index in bracket)
+        out: Array = (1 - s) * before + s * after
+        return out
+
     def _place(self, left: int, right: int, moment_ns: int) -> Array:
         """The place (3,) on the cubic between two positions, or on the line beyond one."""
         a, b = self.values[left].enu_m, self.values[right].enu_m

@@ -106,7 +106,7 @@ def moving_at(window: Window, navigation: Navigation, nav: NavState) -> Moving |
         rate_cam = rates_between(stamps_s, np.stack([k.R_cam_enu for k in last]))[-1]
     else:
         R_cam_enu = window.R_body_cam.T
-    velocity = navigation.velocity_at(nav)
+    velocity = nav.motion_enu_m_s
     plane = _inverse_depth(R_cam_enu, ground_so_far(window, nav), window.position_guess(nav))
     return Moving(window.readout[0], rate_cam, velocity, R_cam_enu @ velocity, plane, sigma_rad_s, is_measured)
 
