@@ -137,9 +137,8 @@ def _open_files(arguments: argparse.Namespace) -> _Inputs:
         boot_unix_s=arguments.time_offset,
         max_rate_hz=arguments.rate,
     )
-    if flight.telemetry.tied.sigma_s > 0.0:
-        config = loosened(config, flight.telemetry)
-        config_text = recorded_toml(config)
+    if (loose := loosened(config, flight.telemetry)) != config:
+        config, config_text = loose, recorded_toml(loose)
     for note in flight.notes:
         print(f"note: {note}", file=sys.stderr)
     return _Inputs(config, config_text, flight.camera, "", flight, None)

@@ -144,10 +144,13 @@ def log_of_subtitles(
     agree, contradictions = agreeing(positions)
     positions, claims = [positions[at] for at in agree], [claims[at] for at in agree]
     events = vouched(positions, claims) + _attitudes(subtitles, epoch_ns)
+    video_s = extent_s([s.at_ns / NS_PER_S for s in subtitles])
     return replace(
         TelemetryLog.by_stamp(events),
         video_epoch_ns=epoch_ns,
-        video_s=extent_s([s.at_ns / NS_PER_S for s in subtitles]),
+        video_s=video_s,
+        # A text does not state which moment of its own time it is of: of one a second that is half a second.
+        position_sigma_s=0.0 if video_s is None else video_s[1] / 12.0**0.5,
         utc_sigma_s=None,
         notes=(*notes, *dates, *contradictions, *_stabilisation_note(subtitles), *_height_note(claims)),
         digital_zoom=_steps((epoch_ns + s.at_ns, s.dzoom) for s in subtitles),

@@ -52,8 +52,9 @@ class TelemetryLog:
     should know of how the log was read, one line each. `shots_ns`: when a camera's shutter was triggered or reported.
     `video_began`: when the video began that the log lies in (ns), by a receiver whose delay is not known, and one sigma
     of that (s). `utc_sigma_s`: one sigma of the stamps against UTC, 0 of a receiver's or of a clock that the
-    configuration states; None where they are local times of no stated zone, which nothing ties to UTC. `tied`: of two
-    logs that were joined.
+    configuration states; None where they are local times of no stated zone, which nothing ties to UTC.
+    `position_sigma_s`: one sigma of which moment a position is of, where what states it lasts. `tied`: of two logs that
+    were joined.
     """
 
     events: list[NavEvent]
@@ -69,6 +70,7 @@ class TelemetryLog:
     video_began: tuple[int, float] | None = None
     tied: Tied = Tied()
     video_s: tuple[float, float] | None = None
+    position_sigma_s: float = 0.0
 
     @classmethod
     def by_stamp(cls, events: Iterable[NavEvent], boot_segments: int = 1) -> TelemetryLog:

@@ -79,17 +79,19 @@ def joined(one: TelemetryLog, other: TelemetryLog, paths: tuple[Path, Path]) -> 
         shots_ns=one.shots_ns or other.shots_ns,
         notes=(*one.notes, *other.notes, _words(found, taken, one, paths)),
         tied=_tied(found, taken, other),
+        position_sigma_s=0.0 if (placed := taken["positions"]) is None else placed.position_sigma_s,
     )
 
 
 def loosened(config: Config, log: TelemetryLog) -> Config:
-    """Return the configuration with what the tie of two logs adds to its delays' sigmas. (32.6)
+    """Return the configuration with what a log's texts and the tie of two logs add to its delays' sigmas. (32.6)
 
     Positions tie the clocks, and each log's are late by its own amount.
     """
     tied, gps, camera = log.tied, config.gps, config.camera
-    if tied.is_mixed:
-        sigma_s = min(math.hypot(gps.sigma_latency_s, tied.sigma_s), MOST_POSITIONS_S)
+    if tied.is_mixed or log.position_sigma_s:
+        tie_s = tied.sigma_s if tied.is_mixed else 0.0
+        sigma_s = min(math.hypot(gps.sigma_latency_s, tie_s, log.position_sigma_s), MOST_POSITIONS_S)
         config = config.model_copy(update={"gps": gps.model_copy(update={"sigma_latency_s": sigma_s})})
     if tied.are_angles_moved:
         sigma_s = math.hypot(camera.sigma_latency_s, tied.sigma_s, gps.sigma_latency_s, gps.sigma_latency_s)

@@ -11,6 +11,7 @@ from onboard.telemetry.log_files import read_log
 from onboard.telemetry.read_options import ReadOptions
 from onboard.telemetry.srt_axis_order import Order
 from onboard.telemetry.telemetry_log import TelemetryLog
+from tests.onboard.telemetry.log_writers import written
 
 METRES_A_DEGREE = 111_320.0
 
@@ -63,6 +64,15 @@ def test_labels_need_no_order(tmp_path: Path) -> None:
     assert first(log) == (36.5, -6.25) and not any("GPS(a, b)" in note for note in log.notes)
     log = read(tmp_path, "HOME(W: 6.25, N: 36.5) 2023-01-01 12:00:01\nGPS(W: 6.25, N: 36.5, 001.01m)", home_amsl_m=None)
     assert first(log) == (36.5, -6.25)
+
+
+def test_of_a_text_a_second_the_moment_is_known_to_as_much(tmp_path: Path) -> None:
+    """Half a second in it left none of the clicks of a straight flight in its 90 % ellipse, in turns a seventh."""
+    texts = [f"[latitude: 36.50000{k}] [longitude: -6.25] [rel_alt: 3.0 abs_alt: 50.0]" for k in range(4)]
+    assert read(tmp_path, *texts).position_sigma_s == pytest.approx(12.0**-0.5)
+    assert read(tmp_path, *texts).video_s == (3.0, 1.0)
+    assert read(tmp_path, texts[0]).position_sigma_s == 0.0
+    assert 0.005 < read_log(written(tmp_path, "srt")).position_sigma_s < 0.02  # of one for each picture
 
 
 UNKNOWN = "GPS({a:.6f}, {b:.6f}, 95), D {d:.2f}m, H 31.9m, H.S {v:.2f}m/s"  # 95: neither satellites nor in metres

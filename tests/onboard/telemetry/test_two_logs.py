@@ -157,6 +157,8 @@ def test_the_tie_s_error_is_in_the_delays_of_what_it_moves() -> None:
     mixed = loosened(config, replace(log, tied=Tied(True, True, 0.3)))
     assert mixed.gps.sigma_latency_s == pytest.approx(np.hypot(0.1, 0.3))
     assert mixed.camera.sigma_latency_s == pytest.approx(np.sqrt(0.3**2 + 3 * 0.1**2))
+    long = loosened(config, replace(log, tied=Tied(True, True, 0.3), position_sigma_s=0.2))
+    assert long.gps.sigma_latency_s == pytest.approx(np.sqrt(0.1**2 + 0.3**2 + 0.2**2))
     moved = loosened(config, replace(log, tied=Tied(True, False, 0.3)))
     assert moved.gps == config.gps and moved.camera == mixed.camera
 
