@@ -23,6 +23,7 @@ Polygon = list[Array]
 
 MOST_CORNERS = 100_000
 MOST_NAME = 60  # characters of a sector's
+ZIP = b"PK\x03\x04"
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +85,8 @@ def _read(path: Path, option: str, xml: str = "") -> list[_Area]:
 
 def _areas(name: str, data: bytes, xml: str) -> list[_Area]:
     """The areas of a file's content, by how its name ends."""
+    if data.startswith(ZIP):
+        raise InputError(f"{name}: is a zip archive, as a KMZ is: unpack it, and give the file in it")
     try:
         found = _placemarks(data) if xml and name.lower().endswith(xml) else _features(_json(data))
     except InputError as error:
