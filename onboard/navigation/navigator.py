@@ -57,12 +57,11 @@ class NavState:
     `velocity_enu_m_s` and `R_enu_body` are None where the log has none, or none near enough; `R_enu_body` also where
     `solve.attitude` is "none". `motion_enu_m_s` is the velocity, else that of the positions about it: an error of
     time moves the state along it; 0 where nothing is known. The sigmas are the receiver's claim for the Gauss-Markov
-    error, bounded below by the
-    configuration, and jumps that nothing has explained; `sigma_white_m` is the dispersion of positions about their own
-    velocity, bounded likewise. `mount_hypotheses` holds R_enu_body by every mount hypothesis while more than one is
-    possible. States of different `stretch` must not be compared: the position jumped, or the frame moved, between them.
-    `stamp_sigma_s`: one sigma of the time it was asked for, beyond the time offset's own, common to all states that
-    have it.
+    error, bounded below by the configuration, and jumps that nothing has explained; `sigma_white_m` is the dispersion
+    of positions about their own velocity, bounded likewise. `mount_hypotheses` holds R_enu_body by every mount
+    hypothesis while more than one is possible. States of different `stretch` must not be compared: the position jumped,
+    or the frame moved, between them. `stamp_sigma_s`: one sigma of the time it was asked for, beyond the time offset's
+    own, common to all states that have it.
     """
 
     stamp_ns: int
