@@ -19,8 +19,19 @@ MAX_STATE = 24
 MAX_REASON = 50
 MAX_LOOK = 80
 MAX_HEAT = 64
+MAX_MODE = 24
 MAX_SHARES = 3
 MAX_CODE = 12
+TEXTS = {"state": MAX_STATE, "reason": MAX_REASON, "look": MAX_LOOK, "heat": MAX_HEAT, "mode": MAX_MODE}
+# Of the aircraft, where its autopilot reports them: what lies outside of these is no report.
+BOUNDS = {"fix": (0, 15), "satellites": (0, 254), "battery_percent": (0, 100), "battery_v": (0.0, 100.0)}
+# What is left out where there is no room, the first first, after the shares; then the reason is cut.
+SPARE = ("satellites", "fix", "battery_v", "mode", "battery_percent")
+FIXES = {
+    **{0: "no fix", 1: "no fix", 2: "2D fix", 3: "3D fix", 4: "differential fix"},
+    **{5: "RTK float", 6: "RTK fixed", 7: "fixed position", 8: "PPP fix"},
+}
+"""MAVLink's GPS_FIX_TYPE in words."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +59,25 @@ class VehicleStatus:
     # Of a click's variance in the middle of the newest picture, per cent by code (`contract.error_sources`); the
     # largest, or none while they are not known.
     shares: Mapping[str, int] = field(default_factory=dict)
+    fix: int | None = None  # the receiver's, MAVLink's GPS_FIX_TYPE
+    satellites: int | None = None
+    battery_percent: int | None = None  # left, by the autopilot
+    battery_v: float | None = None
+    mode: str = ""  # the autopilot's flight mode by its name
+
+    @property
+    def gps_words(self) -> str:
+        """The receiver's fix for people: "RTK fixed, 17 satellites"; empty where it is not known."""
+        fix = None if self.fix is None else FIXES.get(self.fix, f"fix type {self.fix}")
+        seen = None if self.satellites is None else f"{self.satellites} satellites"
+        return ", ".join(text for text in (fix, seen) if text is not None)
+
+    @property
+    def battery_words(self) -> str:
+        """What the battery has left, for people: "64 %, 22.1 V"; empty where it is not known."""
+        percent = None if self.battery_percent is None else f"{self.battery_percent} %"
+        volts = None if self.battery_v is None else f"{self.battery_v:.1f} V"
+        return ", ".join(text for text in (percent, volts) if text is not None)
 
     @property
     def amiss(self) -> str:
@@ -63,31 +93,41 @@ class VehicleStatus:
 
 def encode_status(status: VehicleStatus) -> bytes:
     """Return the status in at most MAX_BYTES of ASCII. Raises ValueError for a number that is not finite."""
+    content = _content(status)
+    payload = json.dumps(content, separators=(",", ":"), allow_nan=False).encode("ascii")
+    over = len(payload) - MAX_BYTES
+    if over <= 0:
+        return payload
+    if status.shares:
+        fewer = dict(list(status.shares.items())[: min(len(status.shares), MAX_SHARES) - 1])
+        return encode_status(replace(status, shares=fewer))
+    for name in SPARE:
+        if name in content:
+            without: dict[str, Any] = {name: "" if name == "mode" else None}
+            return encode_status(replace(status, **without))
+    if not content["reason"]:
+        return payload
+    return encode_status(replace(status, reason=content["reason"][:-over]))  # only after months of counting
+
+
+def _content(status: VehicleStatus) -> dict[str, Any]:
+    """Return what the status holds by its keys, rounded and cut, without what is empty or not known."""
     content: dict[str, Any] = {"v": VERSION, **asdict(status)}
     for key, digits in (("unix_s", 3), ("up_s", 0), ("camera_hz", 1), ("ok_hz", 1), ("delay_s", 3)):
         content[key] = _number(content[key], digits)
-    content["state"], content["reason"] = status.state[:MAX_STATE], _plain(status.reason)[:MAX_REASON]
-    content["look"] = _plain(status.look)[:MAX_LOOK]
-    content["heat"] = _plain(status.heat)[:MAX_HEAT]
-    for key in ("follows", "looks", "look", "heat"):
+    content["state"] = status.state[:MAX_STATE]
+    for key in ("reason", "look", "heat", "mode"):
+        content[key] = _plain(content[key])[: TEXTS[key]]
+    for key, digits in (("cpu_c", 0), ("battery_v", 1)):
+        content[key] = None if content[key] is None else _number(content[key], digits)
+    content["shares"] = dict(list(status.shares.items())[:MAX_SHARES])
+    for key in ("follows", "looks", "look", "heat", "shares", "mode"):
         if not content[key]:
             del content[key]
-    if status.shares:
-        content["shares"] = dict(list(status.shares.items())[:MAX_SHARES])
-    else:
-        del content["shares"]
-    if status.cpu_c is None:
-        del content["cpu_c"]
-    else:
-        content["cpu_c"] = _number(status.cpu_c, 0)
-    payload = json.dumps(content, separators=(",", ":"), allow_nan=False).encode("ascii")
-    if len(payload) > MAX_BYTES and status.shares:  # a reason is worth more
-        fewer = dict(list(status.shares.items())[: min(len(status.shares), MAX_SHARES) - 1])
-        return encode_status(replace(status, shares=fewer))
-    if len(payload) > MAX_BYTES and content["reason"]:  # only after months of counting
-        shorter = content["reason"][: max(len(content["reason"]) - (len(payload) - MAX_BYTES), 0)]
-        return encode_status(replace(status, reason=shorter))
-    return payload
+    for key in ("cpu_c", *BOUNDS):
+        if content[key] is None or (key in BOUNDS and not _is_within(key, content[key])):
+            del content[key]
+    return content
 
 
 def _number(value: float, digits: int) -> float | int:
@@ -130,14 +170,20 @@ def decode_status(payload: bytes) -> VehicleStatus:
 
 
 def _check_sizes(values: Mapping[str, Any]) -> None:
-    if len(values["state"]) > MAX_STATE or len(values.get("reason", "")) > MAX_REASON:
-        raise CorruptPayload("status with a state or reason too long")
-    if len(values.get("look", "")) > MAX_LOOK or len(values.get("heat", "")) > MAX_HEAT:
-        raise CorruptPayload("status with a look or heat too long")
+    for name, most in TEXTS.items():
+        text = values.get(name, "")
+        if len(text) > most or not text.isprintable():
+            raise CorruptPayload(f"status with a {name} that is too long or cannot be printed")
+    for name in BOUNDS:
+        if values.get(name) is not None and not _is_within(name, values[name]):
+            raise CorruptPayload(f"status with {name} = {values[name]}, which cannot be")
     if len(values.get("shares", {})) > MAX_SHARES:
         raise CorruptPayload(f"status with more than {MAX_SHARES} shares")
-    if not all(str(values.get(key, "")).isprintable() for key in ("state", "reason", "look", "heat")):
-        raise CorruptPayload("status with a state, reason, look or heat that cannot be printed")
+
+
+def _is_within(name: str, value: float) -> bool:
+    low, high = BOUNDS[name]
+    return low <= value <= high
 
 
 def _is_whole(value: object) -> bool:
@@ -155,10 +201,10 @@ def _fits(value: object, kind: str) -> bool:
         return isinstance(value, str)
     if kind == "bool":
         return isinstance(value, bool)
-    if kind == "int":
-        return _is_whole(value) and abs(int(value)) < 2**63  # type: ignore[call-overload]
     if value is None:
         return "None" in kind
+    if kind.startswith("int"):
+        return _is_whole(value) and abs(int(value)) < 2**63  # type: ignore[call-overload]
     return (_is_whole(value) and abs(int(value)) < 2**63) or (  # type: ignore[call-overload]
         isinstance(value, float) and math.isfinite(value)
     )

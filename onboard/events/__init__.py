@@ -6,7 +6,8 @@ Public:
 - `pointing`: `ACCEPTED`, `NOT_ACKNOWLEDGED`, `NO_AUTOPILOT`, `PointingEnd`, `Target`
 - `session_clock`: `SessionClock`
 - `sink`: `Sink`
-- `source`: `Emit`, `Severity`, `Source`, `SourceStatus`, `State`, `Stop`, `TelemetrySource`
+- `source`: `AircraftReport`, `Emit`, `Severity`, `Source`, `SourceStatus`, `State`, `Stop`,
+  `TelemetrySource`
 - `tunnel`: `Peer`, `RadioReport`, `TunnelEnd`
 - `types`: `Attitude`, `Event`, `FilterStatus`, `Frame`, `GimbalAttitude`, `GpsQuality`, `NavEvent`, `PositionFix`,
   `RangeFinder`, `Zoom`, `ZoomUnit`

@@ -16,7 +16,7 @@ from contract.secrets import without_secrets
 from contract.supervised_thread import Stop
 from onboard.events.types import Event
 
-__all__ = ["Emit", "Severity", "Source", "SourceStatus", "State", "Stop", "TelemetrySource"]
+__all__ = ["AircraftReport", "Emit", "Severity", "Source", "SourceStatus", "State", "Stop", "TelemetrySource"]
 
 Emit = Callable[[int, Event], None]
 """Takes the arrival time (Unix ns of the session's clock) and the event. Never blocks for long."""
@@ -42,12 +42,22 @@ class Severity(Enum):
 
 
 @dataclass(frozen=True)
+class AircraftReport:
+    """What an autopilot reports of its aircraft for people to read, as of now; nothing is computed from it."""
+
+    mode: str = ""  # by its name; empty where it is not known
+    battery_percent: int | None = None  # left, by the autopilot's own count
+    battery_v: float | None = None
+
+
+@dataclass(frozen=True)
 class SourceStatus:
     """The status of a source now. `figures` are named with their unit: `rate_hz`, `dropped`, `round_trip_ms`, ..."""
 
     state: State
     detail: str = ""
     figures: dict[str, float] = field(default_factory=dict)
+    aircraft: AircraftReport = AircraftReport()
 
     def __post_init__(self) -> None:
         """Addresses, and the last words of a helper that opens them, may hold passwords: nothing passes them on."""

@@ -12,7 +12,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Protocol
 
 from contract.errors import InputError
@@ -41,7 +41,7 @@ from onboard.service.reports import (
 )
 from onboard.service.standstill import Standstill
 from onboard.service.supervision import Supervisor
-from onboard.service.vehicle_state import STUCK_S, Inputs, judge, overall, second_in_brief
+from onboard.service.vehicle_state import MAX_GPS_AGE_S, STUCK_S, Inputs, judge, overall, second_in_brief
 from onboard.storage.alignment_file import StateFile
 
 IDLE_S = 0.2  # the pipeline's thread looks up this often when nothing comes
@@ -210,7 +210,8 @@ class Session:
     def report(self) -> Report:
         """Everything the session knows of itself."""
         now_ns, inputs, rates, summary = self.clock.now_ns(), self.inputs(), self.live_rates, self._summary
-        state, budget = overall(inputs), self._budget.at(now_ns)
+        state, budget, gps = overall(inputs), self._budget.at(now_ns), inputs.gps
+        gps = gps if gps is not None and gps.age_s < MAX_GPS_AGE_S else None
         is_recording = self.parts.recording is not None and not inputs.recording_fault
         status = VehicleStatus(
             unix_s=now_ns / 1e9,
@@ -232,6 +233,9 @@ class Session:
             looks=self.parts.look is not None,
             look="" if self.parts.look is None else self.parts.look(),
             heat=second_in_brief(inputs.thermal_camera),
+            fix=None if gps is None else gps.fix_type,
+            satellites=None if gps is None else gps.satellites,
+            **asdict(inputs.telemetry.aircraft),
         )
         return Report(
             status,

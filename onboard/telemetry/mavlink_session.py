@@ -6,6 +6,7 @@ The vehicle is the one that `vehicle_choice` gives: what others send on the same
 from __future__ import annotations
 
 from collections import Counter, deque
+from dataclasses import replace
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -15,6 +16,7 @@ from onboard.clocks.timesync import SELDOM_NS, LinkClock
 from onboard.config.schema import Config
 from onboard.events.source import Severity, SourceStatus, State
 from onboard.events.types import GimbalAttitude, NavEvent, PositionFix
+from onboard.telemetry.aircraft_reports import AircraftReports
 from onboard.telemetry.gimbal_senders import Gimbals, is_of_payload
 from onboard.telemetry.mavlink_events import AUTOPILOT_COMPONENT, MessageToEvent, Sources, boot_ns_of
 from onboard.telemetry.message_rates import RateRequests
@@ -39,6 +41,7 @@ class Autopilot:
         self.clock = LinkClock(config.telemetry.clock)
         self.rates = RateRequests(config)
         self.gimbals = Gimbals(config.telemetry.clock, config.mount.gimbal_component)
+        self.aircraft = AircraftReports()
         self.reboots = 0
         self._converter = MessageToEvent(Sources())
         self._seen: Counter[str] = Counter()  # since the autopilot's boot
@@ -78,6 +81,7 @@ class Autopilot:
         if system != self.system:
             return []
         self._note(message, arrival_ns)
+        self.aircraft.receive(message, arrival_ns)
         if name == "HEARTBEAT":
             self._kind = int(message.autopilot)
             self.rates.heartbeat(message.system_status, message.autopilot)
@@ -199,7 +203,12 @@ class Autopilot:
     # --- how it is ---
 
     def health(self, now_ns: int) -> SourceStatus:
-        """State, reason and figures. Silence counts from the last message of the vehicle's autopilot."""
+        """State, reason, figures and what it reports of its aircraft. Silence counts from the autopilot's last
+        message.
+        """
+        return replace(self._link_health(now_ns), aircraft=self.aircraft.at(now_ns))
+
+    def _link_health(self, now_ns: int) -> SourceStatus:
         figures = {
             **self.rates.figures(),
             **self.clock.figures(),

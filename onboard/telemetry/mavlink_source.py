@@ -238,10 +238,10 @@ class LiveTelemetry:
         if self._complaint and health.state in (State.STARTING, State.LOST):
             return SourceStatus(health.state, self._complaint, figures)
         if self._log is not None and self._log.fault and health.state is State.OK:
-            return SourceStatus(State.DEGRADED, f"telemetry log: {self._log.fault}", figures)
+            return replace(health, state=State.DEGRADED, detail=f"telemetry log: {self._log.fault}", figures=figures)
         contested = "" if self._camera is None else self._camera.complaint(self._clock.now_ns())
         if contested and health.state is State.OK:
-            return SourceStatus(State.DEGRADED, contested, figures)
+            return replace(health, state=State.DEGRADED, detail=contested, figures=figures)
         return replace(health, figures=figures)
 
     def send_text(self, severity: Severity, text: str) -> None:

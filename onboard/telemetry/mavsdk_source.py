@@ -33,6 +33,7 @@ NAMES = sorted(
         mavlink.MAVLINK_MSG_ID_TIMESYNC,
         mavlink.MAVLINK_MSG_ID_COMMAND_ACK,
         mavlink.MAVLINK_MSG_ID_PARAM_VALUE,
+        mavlink.MAVLINK_MSG_ID_SYS_STATUS,
     )
 )
 CLASSES = {kind.msgname: kind for kind in mavlink.mavlink_map.values()}

@@ -38,6 +38,8 @@ FILTER_HZ = 5.0  # reports of the navigation filter: they show a loss
 GPS_HZ = 5.0
 GIMBAL_HZ = 20.0
 RANGE_HZ = 10.0
+BATTERY_HZ = 0.2  # 43 bytes each time, for people only
+SEVERAL = 4  # of a message are watched for before its rate is stated
 
 # Groups of REQUEST_DATA_STREAM that hold the messages, for autopilots that know nothing else.
 STREAMS = {
@@ -55,12 +57,14 @@ class _Want:
     name: str
     rates_hz: tuple[float, ...]  # falling
     is_needed: bool = True
+    is_spare: bool = False  # asked for only where it does not come anyway: another on the line may have its rate
     step: int = 0  # which rate is asked for; past the end: denied altogether
     granted_hz: float = 0.0
     tries: int = 0
     due_ns: int = 0  # when to ask next
     again_ns: int = FIRST_AGAIN_NS
-    count: int = 0  # since the watch began
+    since_ns: int | None = None  # when the watch began
+    count: int = 0  # since then
     measured_hz: float | None = None
     watches: int = 0  # since the grant
 
@@ -76,6 +80,29 @@ class _Want:
 
     def _comes_below(self, share: float) -> bool:
         return self.watches >= 2 and self.measured_hz is not None and self.measured_hz < share * self.granted_hz
+
+    @property
+    def may_come_anyway(self) -> bool:
+        """Spare, and nothing shows yet that it does not come without being asked for."""
+        return self.is_spare and not self.granted_hz and (self.watches == 0 or self.measured_hz != 0.0)
+
+    def is_due(self, now_ns: int) -> bool:
+        """Return whether it is to be asked for now."""
+        if self.is_denied or self.may_come_anyway or now_ns < self.due_ns:
+            return False
+        return not self.granted_hz or self.is_to_be_asked_again
+
+    def watch(self, now_ns: int) -> None:
+        """Measure its rate whenever it was watched for long enough."""
+        if self.since_ns is None:
+            self.since_ns = now_ns
+        seconds = (now_ns - self.since_ns) / 1e9
+        if seconds * NS_PER_S < max(WATCH_NS, SEVERAL / self.rates_hz[-1] * NS_PER_S):
+            return
+        self.measured_hz, self.count, self.since_ns = self.count / seconds, 0, now_ns
+        self.watches += 1
+        if self.granted_hz and self.watches >= 2 and not self.is_to_be_asked_again:
+            self.again_ns = FIRST_AGAIN_NS
 
     @property
     def is_denied(self) -> bool:
@@ -103,7 +130,6 @@ class RateRequests:
     _asking: _Want | None = None
     _asked_ns: int = 0
     _unanswered: int = 0
-    _watch_ns: int | None = None
     _is_ardupilot: bool = True
     _loop_hz: float | None = None  # ArduPilot's, once it has reported it
     _loop_tries: int = 0
@@ -132,6 +158,7 @@ class RateRequests:
             wants.append(_Want("GIMBAL_DEVICE_ATTITUDE_STATUS", _falling(GIMBAL_HZ, 10.0), is_needed=False))
         if self.config.range_finder.use:
             wants.append(_Want("DISTANCE_SENSOR", _falling(RANGE_HZ, 5.0)))
+        wants.append(_Want("SYS_STATUS", (BATTERY_HZ,), is_needed=False, is_spare=True))
         return wants
 
     def heartbeat(self, status: int, autopilot: int) -> None:
@@ -172,7 +199,7 @@ class RateRequests:
 
     def _begin(self) -> None:
         self.wants = self._all_wants()
-        self._asking, self._watch_ns = None, None
+        self._asking = None
         self._unanswered = 0
         self.by_streams = False
 
@@ -210,7 +237,8 @@ class RateRequests:
 
     def due(self, system: int, now_ns: int) -> list[Any]:
         """Return the messages to send now: at most one request."""
-        self._watch(now_ns)
+        for want in self.wants:
+            want.watch(now_ns)
         if not self.can_be_asked:
             return []
         if self._is_ardupilot and self._loop_hz is None:
@@ -232,11 +260,8 @@ class RateRequests:
             if self._unanswered >= MAX_TRIES and not any(want.granted_hz or want.step for want in self.wants):
                 self._use_streams(now_ns)
         for want in self.wants:
-            if want.is_denied or now_ns < want.due_ns:
-                continue
-            if want.granted_hz and not want.is_to_be_asked_again:
-                continue
-            return self._ask(want, system, now_ns)
+            if want.is_due(now_ns):
+                return self._ask(want, system, now_ns)
         return []
 
     def _longer(self, want: _Want) -> int:
@@ -264,18 +289,6 @@ class RateRequests:
                 system, AUTOPILOT_COMPONENT, COMMAND, 0, number, 1e6 / rate_hz, 0, 0, 0, 0, 0
             )
         ]
-
-    def _watch(self, now_ns: int) -> None:
-        if self._watch_ns is None:
-            self._watch_ns = now_ns
-        seconds = (now_ns - self._watch_ns) / 1e9
-        if seconds * NS_PER_S >= WATCH_NS:
-            for want in self.wants:
-                want.measured_hz, want.count = want.count / seconds, 0
-                want.watches += 1
-                if want.granted_hz and want.watches >= 2 and not want.is_to_be_asked_again:
-                    want.again_ns = FIRST_AGAIN_NS
-            self._watch_ns = now_ns
 
     def figures(self) -> dict[str, float]:
         """Rates as they come, by what they carry."""

@@ -48,8 +48,8 @@ class PlayedTelemetry:
         if self._is_over:
             return SourceStatus(State.LOST, f"the end of {self._path.name}", health.figures)
         if health.state is State.DEGRADED:  # a log answers no requests
-            return SourceStatus(State.OK, health.detail, health.figures)
-        return replace(health)
+            return replace(health, state=State.OK)
+        return health
 
     def send_text(self, severity: Severity, text: str) -> None:
         """A log shows no texts: nothing happens."""

@@ -283,9 +283,8 @@ class FakeAutopilot:
     def _beat(self, now: int) -> None:
         ready = now - self._boots[-1].monotonic_ns >= self.getting_ready_s * 1e9
         status = mavlink.MAV_STATE_ACTIVE if ready else self.style.starting_status
-        self._send(
-            mavlink.MAVLink_heartbeat_message(self.flight.vehicle_type, self.style.autopilot, 0x81, 10, status, 3)
-        )
+        style, kind = self.style, self.flight.vehicle_type
+        self._send(mavlink.MAVLink_heartbeat_message(kind, style.autopilot, 0x81, style.mode, status, 3))
         for number in self.style.unknown:
             self._post(mavlink.MAVLink_message(number, "")._pack(self._packer, 0, b"\x01" * 20))
             self._packer.seq = (self._packer.seq + 1) % 256

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -62,6 +62,15 @@ class Flight:
         if system is None or not messages:
             raise InputError(f"telemetry log {path}: no message with a boot time in it")
         return cls(due, messages, least, vehicle_type, system)
+
+    def with_battery(self, volts: float, percent: int) -> Flight:
+        """The same with a SYS_STATUS each second, which holds this battery."""
+        times = range(self.due_ns[0], self.due_ns[-1], 1_000_000_000)
+        battery = mavlink.MAVLink_sys_status_message(0, 0, 0, 300, round(volts * 1000), -1, percent, 0, 0, 0, 0, 0, 0)
+        rows = sorted(
+            [*zip(self.due_ns, self.messages, strict=True), *((t, battery) for t in times)], key=lambda r: r[0]
+        )
+        return replace(self, due_ns=[due_ns for due_ns, _ in rows], messages=[message for _, message in rows])
 
     def reduced(self, keep: Callable[[str], bool]) -> Flight:
         """Only the messages whose name is kept."""

@@ -29,6 +29,7 @@ class Style:
     mavlink1: bool = False
     timesync_s: float = 10.0  # how often it asks us
     starting_status: int = mavlink.MAV_STATE_CALIBRATING  # of its heartbeats until it is ready
+    mode: int = 10  # in its heartbeats: AUTO of ArduPilot's aeroplanes
     parameters: dict[str, float] = field(default_factory=dict)  # that it reports; of others nothing
     unknown: tuple[int, ...] = ()  # numbers of messages it sends that pymavlink's dialect does not have
     # How long a component of the type "onboard controller" may be silent before the pilot is warned; None: for ever.
@@ -49,6 +50,7 @@ STYLES = {
         1.0,
         1000.0,
         knows_streams=False,
+        mode=4 << 16 | 4 << 24,  # MISSION
         timesync_s=1.0,
         starting_status=mavlink.MAV_STATE_UNINIT,  # until it has a position
         unknown=(8, 380, 410, 411, 436),

@@ -43,6 +43,11 @@ STATUSES = st.builds(
     looks=st.booleans(),
     look=st.text(max_size=100),
     heat=st.text(max_size=100),
+    fix=st.none() | st.integers(-1, 255),
+    satellites=st.none() | st.integers(0, 255),
+    battery_percent=st.none() | st.integers(-128, 127),
+    battery_v=st.none() | st.floats(0, 65.6),
+    mode=st.text(max_size=30),
     shares=st.dictionaries(st.sampled_from(list(Cause)).map(str), st.integers(0, 100), max_size=3),
 )
 
@@ -61,6 +66,32 @@ def test_a_usual_status_is_well_under_its_bound() -> None:
     budget = replace(FLYING, shares={"attitude": 55, "gpsnoise": 21, "mount": 15})
     assert len(encode_status(budget)) - len(encode_status(FLYING)) < 60
     assert decode_status(encode_status(budget)).fractions == {"attitude": 0.55, "gpsnoise": 0.21, "mount": 0.15}
+
+
+def test_the_aircraft_s_own_state_costs_little_and_reads_in_plain_words() -> None:
+    flying = replace(FLYING, fix=6, satellites=17, battery_percent=64, battery_v=22.14, mode="AUTO")
+    back = decode_status(encode_status(flying))
+    assert back == replace(flying, battery_v=22.1)
+    assert 60 < len(encode_status(flying)) - len(encode_status(FLYING)) < 90
+    assert (back.gps_words, back.battery_words) == ("RTK fixed, 17 satellites", "64 %, 22.1 V")
+    assert (FLYING.gps_words, FLYING.battery_words) == ("", "")
+    assert replace(FLYING, fix=0, satellites=0).gps_words == "no fix, 0 satellites"
+    assert replace(FLYING, fix=9, battery_v=0.06).battery_words == "0.1 V"
+
+
+def test_a_reason_is_worth_more_than_the_aircraft_s_own_state_and_that_more_than_shares() -> None:
+    flying = replace(
+        FLYING, fix=6, satellites=17, battery_percent=64, battery_v=22.1, mode="AUTO", shares={"mount": 60}
+    )
+    crowded = replace(flying, reason="x" * MAX_REASON, look="x" * MAX_LOOK)
+    back = decode_status(encode_status(crowded))
+    assert back.reason == crowded.reason and not back.shares
+    assert (back.satellites, back.battery_percent, back.mode) == (None, 64, "AUTO")
+
+
+def test_what_no_receiver_and_no_battery_can_have_is_left_out_and_not_sent() -> None:
+    odd = replace(FLYING, fix=200, satellites=255, battery_percent=-1, battery_v=float(2**20))
+    assert decode_status(encode_status(odd)) == FLYING
 
 
 def test_a_long_reason_is_worth_more_than_shares() -> None:
@@ -136,6 +167,8 @@ def test_a_wrong_type_is_refused_by_name(name: str, value: object) -> None:
     [
         {"v": 0}, {"v": True}, {"v": "1"}, {"v": ...}, {"state": ...}, {"unix_s": ...}, {"tracks": 1.5},
         {"recording": 1}, {"frame": True}, {"state": "x" * 25}, {"reason": "x" * 51}, {"state": "\x1b[2J"},
+        {"fix": 16}, {"fix": -1}, {"fix": 3.0}, {"satellites": 255}, {"battery_percent": 101}, {"battery_percent": -1},
+        {"battery_percent": True}, {"battery_v": 100.1}, {"battery_v": "22"}, {"mode": "x" * 25}, {"mode": "\x1b[2J"},
     ],
 )  # fmt: skip
 def test_what_is_no_status_is_refused(values: dict[str, object]) -> None:

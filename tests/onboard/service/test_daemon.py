@@ -17,13 +17,15 @@ import pytest
 
 from contract.errors import ConfigError, InputError
 from contract.feature_set import FeatureSet
+from contract.vehicle_status import VehicleStatus
 from ground.recording import Recording
 from onboard.config.schema import Config
 from onboard.events.session_clock import SessionClock
-from onboard.events.source import Emit, Severity, SourceStatus, State, Stop
+from onboard.events.source import AircraftReport, Emit, Severity, SourceStatus, State, Stop
 from onboard.events.types import Event, Frame, GpsQuality
 from onboard.pipeline.pipeline import Pipeline
 from onboard.service.daemon import Daemon, Order, SignalOrders
+from onboard.service.reports import Report
 from onboard.service.sd_notify import Notifier
 from onboard.service.session import Parts
 from tests.onboard.service.air import QueueOrders, take_off
@@ -50,6 +52,7 @@ class Steady:
         self.state = State.OK
         self.error: BaseException | None = None
         self.is_silent = self.ends = self.is_deaf = False
+        self.late_ns, self.aircraft = 0, AircraftReport()
         self.hangs = threading.Event()  # is deaf, and past its last question whether to end
         self.reported: list[str] = []
 
@@ -63,11 +66,12 @@ class Steady:
                 time.sleep(0.05)
             elif not self.is_silent:
                 now_ns = self.clock.now_ns()
-                emit(now_ns, Frame(now_ns, index, None) if self.make is Frame else GpsQuality(now_ns, 3))
+                quality = GpsQuality(now_ns - self.late_ns, 3, 17)
+                emit(now_ns, Frame(now_ns, index, None) if self.make is Frame else quality)
                 index += 1
 
     def health(self) -> SourceStatus:
-        return SourceStatus(self.state, "as told" if self.state is not State.OK else "")
+        return SourceStatus(self.state, "as told" if self.state is not State.OK else "", aircraft=self.aircraft)
 
     def send_text(self, severity: Severity, text: str) -> None:
         self.reported.append(text)
@@ -99,6 +103,7 @@ class Rig:
         self.opened: list[tuple[Config, Parts]] = []
         self.closed = 0
         self.states: list[str] = []
+        self.status = VehicleStatus(0.0, 0, "starting")  # the newest
         self.code: int | None = None
         self.error: BaseException | None = None
         self.daemon = Daemon(self.load, self.open, self.orders, self.notes, tick_s=0.02)
@@ -122,11 +127,15 @@ class Rig:
             self.camera,
             self.telemetry,
             self.pipeline,
-            reporters=[lambda report: self.states.append(report.status.state)],
+            reporters=[self.note_status],
         )
         parts.resources.callback(self.note_closed)
         self.opened.append((config, parts))
         return parts
+
+    def note_status(self, report: Report) -> None:
+        self.states.append(report.status.state)
+        self.status = report.status
 
     def note_closed(self) -> None:
         self.closed += 1
@@ -255,6 +264,15 @@ def test_a_silent_camera_that_calls_itself_well_starves_the_watchdog_a_lost_one_
         rig.camera.state = State.OK
         assert rig.is_unfed()
         rig.wait_for(lambda: rig.states[-1] == "camera silent")
+
+
+def test_the_status_has_what_receiver_and_autopilot_report_unless_it_is_old() -> None:
+    with Rig() as rig:
+        rig.telemetry.aircraft = AircraftReport("AUTO", 64, 22.1)
+        rig.wait_for(lambda: (rig.status.fix, rig.status.satellites) == (3, 17) and rig.status.mode == "AUTO")
+        assert (rig.status.battery_percent, rig.status.battery_v) == (64, 22.1)
+        rig.telemetry.late_ns = 4_000_000_000
+        rig.wait_for(lambda: rig.status.fix is None and rig.status.satellites is None)
 
 
 def test_states_are_logged_once_and_reported_to_the_pilot(caplog: pytest.LogCaptureFixture) -> None:

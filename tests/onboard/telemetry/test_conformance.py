@@ -13,7 +13,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from onboard.clocks.timesync import NS_PER_S, SELDOM_NS
-from onboard.events.source import State
+from onboard.events.source import AircraftReport, SourceStatus, State
 from onboard.events.types import Attitude, FilterStatus, GpsQuality, NavEvent, PositionFix
 from onboard.telemetry.tlog_reader import read_tlog
 from simulation.autopilot.fake import FakeAutopilot
@@ -44,8 +44,7 @@ class Simulated:
     autopilot: FakeAutopilot
     events: list[NavEvent]
     true: list[NavEvent]
-    state: State
-    figures: dict[str, float]
+    health: SourceStatus
     took_s: float  # at most, that it was listened to
 
 
@@ -64,7 +63,7 @@ def simulated(folder: Path) -> Iterator[dict[str, Simulated]]:
         for number, (name, (url, backend, style)) in enumerate(WIRES.items()):
             autopilot = stack.enter_context(
                 FakeAutopilot(
-                    FLIGHT,
+                    FLIGHT.with_battery(22.1, 64),
                     url.format(free=free_udp_port()),
                     style=style,
                     drift=DRIFT,
@@ -83,7 +82,7 @@ def simulated(folder: Path) -> Iterator[dict[str, Simulated]]:
             health = received.source.health()
             events: list[Any] = [event for _, event in list(received.got)]
             true = expected(autopilot, received.clock)  # read last, so that it holds whatever came before
-            out[name] = Simulated(autopilot, events, true, health.state, health.figures, 0.0)
+            out[name] = Simulated(autopilot, events, true, health, 0.0)
     for flight in out.values():
         flight.took_s = time.monotonic() - began_s
     yield out
@@ -104,6 +103,14 @@ def test_the_events_are_what_was_sent_at_the_true_moments(simulated: dict[str, S
     # What has no stamp of its own has that of the message before it, which the very first may have missed.
     assert np.max(np.abs(errors[5:])) < 20.0
     assert np.max(np.abs(errors)) < 300.0
+
+
+@ALL
+def test_mode_and_battery_are_the_aircraft_s_own_whoever_else_is_on_the_line(
+    simulated: dict[str, Simulated], name: str
+) -> None:
+    mode = "MISSION" if WIRES[name][2] == "px4" else "AUTO"
+    assert simulated[name].health.aircraft == AircraftReport(mode, 64, 22.1)
 
 
 @ALL
@@ -130,13 +137,13 @@ def test_stamps_of_a_kind_never_run_backwards(simulated: dict[str, Simulated], n
 @ALL
 def test_health_says_so_with_figures(simulated: dict[str, Simulated], name: str) -> None:
     flight = simulated[name]
-    assert flight.state is State.OK
-    assert 0.0 < flight.figures["round_trip_ms"] < 30.0
-    assert 0.0 < flight.figures["clock_sigma_ms"] < 10.0
-    assert flight.figures["drift_ppm"] == pytest.approx(-300.0, abs=250.0)
-    assert flight.figures["attitude_hz"] > 10.0
-    assert flight.figures["reboots"] == 0.0
-    assert flight.figures.get("lost_packets") == (0.0 if WIRES[name][1] == "pymavlink" else None)
+    assert flight.health.state is State.OK
+    assert 0.0 < flight.health.figures["round_trip_ms"] < 30.0
+    assert 0.0 < flight.health.figures["clock_sigma_ms"] < 10.0
+    assert flight.health.figures["drift_ppm"] == pytest.approx(-300.0, abs=250.0)
+    assert flight.health.figures["attitude_hz"] > 10.0
+    assert flight.health.figures["reboots"] == 0.0
+    assert flight.health.figures.get("lost_packets") == (0.0 if WIRES[name][1] == "pymavlink" else None)
 
 
 @ALL

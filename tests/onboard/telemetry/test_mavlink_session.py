@@ -7,9 +7,11 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from contract.vehicle_status import MAX_MODE
 from onboard.clocks.timesync import NS_PER_S
 from onboard.config.schema import parse_config
-from onboard.events.source import Severity, SourceStatus, State
+from onboard.events.source import AircraftReport, Severity, SourceStatus, State
+from onboard.telemetry.flight_modes import mode_of
 from onboard.telemetry.mavlink_session import Autopilot
 from tests.onboard.clocks.test_clock_drift import EPOCH, MS, Clocks
 
@@ -155,6 +157,54 @@ def test_a_text_for_the_pilot_is_whole_up_to_two_pieces(text: str) -> None:
     numbers = [piece.id for piece in pieces]
     assert numbers == ([0, 0] if count == 1 else [1, 1, 2, 2])
     assert [piece.severity for piece in pieces] == [4] * count + [6] * count
+
+
+@pytest.mark.parametrize(
+    ("autopilot", "vehicle", "number", "name"),
+    [
+        (ARDUPILOT, 1, 10, "AUTO"), (ARDUPILOT, 1, 5, "FLY BY WIRE A"), (ARDUPILOT, 20, 21, "QRTL"),
+        (ARDUPILOT, 2, 10, ""), (ARDUPILOT, 2, 3, "AUTO"), (ARDUPILOT, 10, 4, "HOLD"), (ARDUPILOT, 1, 27, ""),
+        (ARDUPILOT, 1, 2**32 - 1, ""), (ARDUPILOT, 200, 10, ""), (PX4, 2, 4 << 16 | 3 << 24, "HOLD"),
+        (PX4, 13, 3 << 16, "POSITION"), (PX4, 13, 4 << 16, ""), (PX4, 1, 77 << 16, ""), (4, 1, 10, ""),
+    ],
+)  # fmt: skip
+def test_a_mode_is_named_from_a_table_or_not_at_all(autopilot: int, vehicle: int, number: int, name: str) -> None:
+    beat = mavlink.MAVLink_heartbeat_message(vehicle, autopilot, 1, number, mavlink.MAV_STATE_ACTIVE, 3)
+    assert mode_of(beat) == name
+    assert not name or len(name) <= MAX_MODE
+    beat.base_mode = 0  # an ArduPilot whose number means nothing
+    assert mode_of(beat) == (name if autopilot == PX4 else "")
+
+
+@pytest.mark.parametrize(
+    ("millivolts", "percent", "known"),
+    [(22_140, 64, (64, 22.14)), (0, -1, (None, None)), (65535, 101, (None, None)), (65534, -128, (None, 65.534)),
+     (12_000, 0, (0, 12.0))],
+)  # fmt: skip
+def test_a_battery_is_stated_as_far_as_it_is_known_and_no_longer_than_it_holds(
+    millivolts: int, percent: int, known: tuple[int | None, float | None]
+) -> None:
+    simulated = Simulated(ARDUPILOT)
+    message = mavlink.MAVLink_sys_status_message(0, 0, 0, 0, millivolts, -1, percent, 0, 0, 0, 0, 0, 0)
+    simulated.receive(message)
+    simulated.receive(mavlink.MAVLink_heartbeat_message(1, ARDUPILOT, 1, 11, mavlink.MAV_STATE_ACTIVE, 3))
+    for after_s, expected in (
+        (4.0, AircraftReport("RTL", *known)),
+        (14.0, AircraftReport("", *known)),
+        (17.0, AircraftReport()),
+    ):
+        assert simulated.autopilot.health(simulated.now_ns + round(after_s * NS_PER_S)).aircraft == expected
+
+
+def test_another_component_s_heartbeat_and_battery_are_not_the_aircraft_s() -> None:
+    simulated = Simulated(ARDUPILOT)
+    battery = mavlink.MAVLink_sys_status_message(0, 0, 0, 0, 5_000, -1, 3, 0, 0, 0, 0, 0, 0)
+    beat = mavlink.MAVLink_heartbeat_message(1, ARDUPILOT, 1, 11, mavlink.MAV_STATE_ACTIVE, 3)
+    for system, component in ((1, 100), (255, 190), (2, 1)):
+        for message in (battery, beat):
+            message._header = mavlink.MAVLink_header(message.id, srcSystem=system, srcComponent=component)
+            simulated.autopilot.receive(message, simulated.now_ns)
+    assert simulated.autopilot.health(simulated.now_ns).aircraft == AircraftReport()
 
 
 def test_rates_are_asked_of_px4_before_it_has_a_fix() -> None:

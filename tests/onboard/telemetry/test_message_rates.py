@@ -79,11 +79,23 @@ def test_everything_is_asked_once_and_then_there_is_peace() -> None:
         ("GPS_RAW_INT", 5.0),
         ("EKF_STATUS_REPORT", 5.0),
         ("GIMBAL_DEVICE_ATTITUDE_STATUS", 20.0),
+        ("SYS_STATUS", 0.2),
     ]
     assert played.requests.complaint() == ""
     assert played.requests.figures() == pytest.approx(
         {"attitude_hz": 50.0, "position_hz": 10.0, "gps_hz": 5.0}, abs=0.5
     )
+
+
+def test_a_battery_is_asked_for_only_where_it_does_not_come_anyway() -> None:
+    """For another on the line may have asked for it at a rate of its own."""
+    played = Played(grants)
+    played.sends_hz["SYS_STATUS"] = 0.5
+    played.fly(60.0)
+    assert "SYS_STATUS" not in {name for name, _ in played.asked}
+    mute = Played(lambda name, _hz: FAILED if name == "SYS_STATUS" else ACCEPTED)
+    mute.fly(120.0)
+    assert [name for name, _ in mute.asked].count("SYS_STATUS") == 1 and mute.requests.complaint() == ""
 
 
 def test_what_is_denied_is_asked_lower_by_steps() -> None:
@@ -160,6 +172,7 @@ def test_how_often_a_grant_that_is_not_kept_is_claimed() -> None:
 
     played.receive = accept
     played.sends_hz["ATTITUDE"] = 4.0
+    played.sends_hz["SYS_STATUS"] = 1.0
     played.fly(300.0)
     assert 4 <= len(asked) <= 12
     assert "ATTITUDE at 4.0 Hz where 50 were granted" in played.requests.complaint()
