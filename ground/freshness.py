@@ -11,9 +11,20 @@ from dataclasses import dataclass, replace
 
 from contract.answer import EXPLANATIONS, Answer, Refusal
 from contract.feature_set import FeatureSet, Status
+from contract.vehicle_status import VehicleStatus
 
 MAX_AGE_S = 3.0  # of the newest picture, by default: at 24 m/s the aircraft is 70 m further by then
+STATUS_S = 10.0  # of a status: its battery, fix and mode are no longer stated then
 STATED_S = 5.0  # by how much clocks differ before it is reported of one that is known
+
+
+def is_of_now(status: VehicleStatus, newest: FeatureSet | None, silent_s: float | None) -> bool:
+    """Return whether a status is about the aircraft as it is at its newest picture, which bears the same clock.
+
+    `silent_s`: since anything was received; None in a recording.
+    """
+    is_received = silent_s is None or silent_s <= STATUS_S
+    return is_received and (newest is None or newest.capture_unix_ns / 1e9 - status.unix_s <= STATUS_S)
 
 
 @dataclass(frozen=True)

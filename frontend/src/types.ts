@@ -59,6 +59,7 @@ export interface VehicleState {
   features: number; tracks: number | null; ce90_centre_m: number | null; cpu_c: number | null;
   clock_unix_ns: string | null; place: [number, number] | null;
   recording: boolean | null; trouble: string;
+  gps: string; battery: string; mode: string; // as its receiver and autopilot report them; empty: not known now
   unfollowed: string; // why it follows nothing that is clicked; empty: it may be asked
   unlooked: string; // why its camera can be sent nowhere; empty: it may be asked
   look: string; // who had it look where last, and what the autopilot made of it

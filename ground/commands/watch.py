@@ -30,7 +30,7 @@ from ground.commands.values import positive, whole
 from ground.commands.warnings import Warnings
 from ground.formats.documents import one_line
 from ground.formats.mark import Mark
-from ground.freshness import MAX_AGE_S, span, stamped_elsewhen
+from ground.freshness import MAX_AGE_S, is_of_now, span, stamped_elsewhen
 from ground.last_received import LastReceived
 from ground.link_options import endpoint_of, tls_of
 from ground.received_tracks import SILENT_S, ReceivedTracks
@@ -70,6 +70,14 @@ class Row:
     radius: str = ""  # what the ellipse is mostly from, and what would make it smaller; empty: not known
     look: str = ""  # who had its camera look where last
     heat: str = ""  # the state of a second camera, for hot spots, that is not well
+    fix: int | None = (
+        None  # of the receiver, MAVLink's GPS_FIX_TYPE; this and the next four are the aircraft's as of now
+    )
+    satellites: int | None = None
+    battery_percent: int | None = None
+    battery_v: float | None = None
+    mode: str = ""
+    aircraft: str = ""  # the same in words
     person_found: float | None = None  # share of the ground in view on which the search for heat finds a person
 
     def to_json(self) -> str:
@@ -86,7 +94,7 @@ class Row:
             "-" if self.rate_hz is None else f"{self.rate_hz:.1f}/s",
             "-" if self.lat_deg is None else f"{self.lat_deg:.5f} {self.lon_deg:.5f}",
             "-" if self.tracks is None else str(self.tracks), "-" if self.ce90_m is None else f"{self.ce90_m:.1f} m",
-            one_line("; ".join(text for text in (self.reason, self.radius, searched, looked) if text)),
+            one_line("; ".join(text for text in (self.reason, self.aircraft, self.radius, searched, looked) if text)),
         )  # fmt: skip
 
 
@@ -135,7 +143,8 @@ def run(args: argparse.Namespace) -> int:
                 if age_s is None and state is not None and (when := stamped_elsewhen(state.unix_s, time.time())):
                     doubt = f"the status is {when}: it is old, or a clock is wrong"
                 amiss = "; ".join(text for text in (doubt, cache.link_error) if text)
-                rows.append(_row(name, newest, state, age_s, rate_hz, amiss, cache.is_certain(name)))
+                row = _row(name, newest, state, age_s, rate_hz, amiss, cache.is_certain(name))
+                rows.append(_reporting(row, newest, state, received.silent_s(name)))
             if not rows and not args.json:
                 print(f"nothing received yet{f': {cache.link_error}' if cache.link_error else ''}", file=sys.stderr)
             _show(rows, tracks.newest(cache.stamped_ago_s), found, args.json, is_screen)
@@ -149,6 +158,7 @@ class _OfVehicle:
     """The last status of one vehicle, and when its sets came."""
 
     state: VehicleStatus | None = None
+    state_s: float = 0.0  # when it came
     times: deque[float] = field(default_factory=lambda: deque(maxlen=1000))
 
 
@@ -171,11 +181,18 @@ class _Received:
         except (ValueError, WireError):
             return
         with self._lock:
-            self._vehicles.of(vehicle).state = status
+            held = self._vehicles.of(vehicle)
+            held.state, held.state_s = status, time.monotonic()
 
     def set(self, feature_set: FeatureSet, size: int) -> None:
         with self._lock:
             self._vehicles.of(feature_set.vehicle).times.append(time.monotonic())
+
+    def silent_s(self, vehicle: str) -> float:
+        """Seconds since its last status; infinite before the first."""
+        with self._lock:
+            held = self._vehicles.get(vehicle)
+        return float("inf") if held is None or held.state is None else time.monotonic() - held.state_s
 
     def rate_hz(self, vehicle: str) -> float | None:
         with self._lock:
@@ -224,6 +241,16 @@ def _row(
         "" if status is None or not is_placed else in_a_line(status.fractions),
         "" if status is None else status.look, "" if status is None else status.heat,
     )  # fmt: skip
+
+
+def _reporting(row: Row, newest: FeatureSet | None, status: VehicleStatus | None, silent_s: float) -> Row:
+    """Return a row with what its aircraft reports of receiver, battery and mode, where that is of now."""
+    if status is None or not is_of_now(status, newest, silent_s):
+        return row
+    battery, mode = status.battery_words, status.mode
+    words = (status.gps_words, battery and f"battery {battery}", mode and f"mode {mode}")
+    reported = {name: getattr(status, name) for name in ("fix", "satellites", "battery_percent", "battery_v", "mode")}
+    return replace(row, aircraft="; ".join(text for text in words if text), **reported)
 
 
 def _last_followed(recording: Recording, vehicle: str) -> list[TrackReport]:

@@ -14,6 +14,7 @@ from contract.answer import EXPLANATIONS, Fix
 from contract.circular_error import ce90_m
 from contract.error_sources import in_a_line
 from contract.feature_set import FeatureSet, HeightDatum
+from ground.freshness import is_of_now
 from ground.pins.fusion import Place
 from ground.web.advice import ADVICE
 from ground.web.clicks import Clicked
@@ -176,6 +177,7 @@ def vehicle_json(context: ServerContext, vehicle: str) -> dict[str, Any]:
         if isinstance(answer, Fix):
             centre_m = round(ce90_m(answer.covariance_enu_m2[:2, :2]), 1)
             above_m = -float(answer.offset_enu_m[2])
+    current = status if status is not None and is_of_now(status, found, report.received_age_s) else None
     return {
         "id": vehicle,
         "session": report.session,
@@ -195,6 +197,9 @@ def vehicle_json(context: ServerContext, vehicle: str) -> dict[str, Any]:
         "ce90_centre_m": centre_m,
         "height_above_ground_m": _rounded(above_m),
         "height_amsl_m": None if found is None else _rounded(_height_amsl_m(found)),
+        "gps": "" if current is None else current.gps_words,
+        "battery": "" if current is None else current.battery_words,
+        "mode": "" if current is None else current.mode,
         "cpu_c": None if status is None else status.cpu_c,
         "recording": None if status is None else status.recording,
         "trouble": report.trouble,

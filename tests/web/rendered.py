@@ -68,7 +68,8 @@ def not_measured(feature_set: FeatureSet, uv_px: tuple[float, float]) -> Feature
 class FlyingSource:
     """Aircraft on a link, as fast as a test wants: `fly_to` is how many pictures have come of each. Serves `Source`.
 
-    `silent_s`: for how long nothing has been received of all of them.
+    `silent_s`: for how long nothing has been received of all of them; `status_age_s`: how much older than their newest
+    picture their status is.
     """
 
     is_live = True
@@ -78,6 +79,7 @@ class FlyingSource:
     def __init__(self, aircraft: int = 1) -> None:
         self._names = [f"uav-{k}" for k in range(1, aircraft + 1)]
         self.silent_s = 0.1
+        self.status_age_s = 0.1
         self._count = 1
         self.views = Views()
         self.asked: list[TrackRequest] = []
@@ -132,9 +134,12 @@ class FlyingSource:
     def report(self, vehicle: str) -> VehicleReport:
         """Well."""
         shares = {"mount": 60, "gps": 21}
+        unix_s = self._first.capture_unix_ns / 1e9 + (self._count - 1) * STEP_S - self.status_age_s
         status = VehicleStatus(
-            0.0, self._first.session, "ok", tracks=120, cpu_c=61.0, shares=shares, look=self.look_words, heat=self.heat
-        )
+            unix_s, self._first.session, "ok",
+            tracks=120, cpu_c=61.0, shares=shares, look=self.look_words, heat=self.heat,
+            fix=6, satellites=17, battery_percent=64, battery_v=22.1, mode="AUTO",
+        )  # fmt: skip
         return VehicleReport(
             vehicle, self._first.session, self._count - 1, self.silent_s, self.silent_s, 1.0, 9000.0, status
         )

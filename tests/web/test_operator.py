@@ -135,7 +135,8 @@ def test_an_aircraft_is_a_coloured_pill_and_its_words_come_when_it_is_pressed(fl
     pill.click()
     card.wait_for()
     words = card.inner_text()
-    for wanted in (r"90 % within \d", r"Height\s+\d+\.\d m above the ground in view, \d+ m above sea", r"Link\s+\d"):
+    for wanted in (r"90 % within \d", r"Height\s+\d+\.\d m above the ground in view, \d+ m above sea", r"Link\s+\d",
+                   r"GPS\s+RTK fixed, 17 satellites", r"Battery\s+64 %, 22\.1 V", r"Mode\s+AUTO"):  # fmt: skip
         assert re.search(wanted, words), words
     colours = []
     for silent_s in (0.1, 8.0, 45.0):
@@ -143,9 +144,12 @@ def test_an_aircraft_is_a_coloured_pill_and_its_words_come_when_it_is_pressed(fl
         state = {0.1: "well", 8.0: "warning", 45.0: "lost"}[silent_s]
         screen.wait_for_selector(f"[data-vehicle=uav-1][data-state={state}]")
         colours.append(pill.evaluate("e => getComputedStyle(e).backgroundColor"))
+        assert ("Battery" in card.inner_text()) == (silent_s < 10.0)  # it is stated as of now
     assert len(set(colours)) == 3
-    fleet.source.silent_s = 0.1
+    fleet.source.silent_s, fleet.source.status_age_s = 0.1, 20.0
     screen.wait_for_selector("[data-vehicle=uav-1][data-state=well]")
+    assert not re.search("GPS|Battery|Mode", card.inner_text())
+    fleet.source.status_age_s = 0.1
     screen.keyboard.press("Escape")
     card.wait_for(state="hidden")
 

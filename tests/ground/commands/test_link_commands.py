@@ -21,7 +21,7 @@ from contract.vehicle_status import VehicleStatus, encode_status
 from contract.wire.codec import encode
 from contract.wire.spot_code import encode_spots
 from ground.__main__ import main
-from ground.commands.watch import _row
+from ground.commands.watch import _reporting, _row
 from ground.link_recorder import LinkRecorder
 from ground.recording import Recording
 from onboard.link.certificates import make_credentials
@@ -48,7 +48,10 @@ def link() -> Iterator[Link]:
     endpoint = Link(free_endpoint())
     session = endpoint.session = zenoh.open(zenoh.Config.from_json5(link_config("peer", listen=[endpoint])))
     stop = threading.Event()
-    status = VehicleStatus(START_NS / 1e9, 7, "ok", tracks=77, cpu_c=51.0, shares={"mount": 60, "gps": 21})
+    status = VehicleStatus(
+        *(START_NS / 1e9, 7, "ok"), tracks=77, cpu_c=51.0, shares={"mount": 60, "gps": 21}, fix=6, satellites=17,
+        battery_percent=64, battery_v=22.1, mode="AUTO",
+    )  # fmt: skip
 
     def publish() -> None:
         while not stop.is_set():
@@ -155,6 +158,8 @@ def test_watching_shows_state_age_rate_position_and_accuracy(link: Link, capsys:
     assert eventually(is_shown), rows
     row = rows[-1]
     assert (row["vehicle"], row["state"], row["tracks"], row["cpu_c"]) == ("uav-1", "ok", 77, 51.0)
+    assert row["aircraft"] == "RTK fixed, 17 satellites; battery 64 %, 22.1 V; mode AUTO"
+    assert (row["fix"], row["satellites"], row["battery_percent"], row["battery_v"]) == (6, 17, 64, 22.1)
     assert row["radius"] == "mostly the camera's mount (60 %): fly one circle"
     assert 1.0 < row["ce90_m"] < 50.0
     assert row["lat_deg"] == pytest.approx(-35.36, abs=0.01)
@@ -172,6 +177,16 @@ def test_watching_shows_state_age_rate_position_and_accuracy(link: Link, capsys:
 def test_a_second_camera_that_is_lost_is_in_the_row_next_to_the_reason() -> None:
     status = VehicleStatus(START_NS / 1e9, 7, "turning", "too fast", heat="lost: unplugged")
     assert _row("uav-1", None, status, 0.1, None).reason == "too fast; no hot spots: thermal camera lost: unplugged"
+
+
+@pytest.mark.parametrize(
+    ("behind_s", "silent_s", "words"),
+    [(0.0, 0.5, "no fix; battery 9 %"), (9.0, 9.0, "no fix; battery 9 %"), (12.0, 0.5, ""), (0.0, 12.0, "")],
+)
+def test_a_battery_is_stated_as_of_now_only_while_statuses_come(behind_s: float, silent_s: float, words: str) -> None:
+    status = VehicleStatus(SETS[-1].capture_unix_ns / 1e9 - behind_s, 7, "no gps", fix=1, battery_percent=9)
+    row = _reporting(_row("uav-1", SETS[-1], status, 0.1, None), SETS[-1], status, silent_s)
+    assert row.aircraft == words and row.battery_percent == (9 if words else None)
 
 
 def test_what_was_seen_is_counted_from_the_link(link: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
