@@ -48,6 +48,11 @@ def draw_grain(rng: np.random.Generator) -> Image:
     return np.asarray(np.float32(0.042) * noise - np.float32(0.07) * specks, np.float32)
 
 
+def draw_gusts(rng: np.random.Generator) -> Image:
+    """How far a wind's gusts bend what grows, in their mean: unit variance, from 6 texels to 40."""
+    return periodic_noise(rng, COUNTRY_SIZE, 6.0, 40.0, 0.3)
+
+
 def _periodic_regions(rng: np.random.Generator, size: int, count: int) -> NDArray[np.int32]:
     """Labels (size, size) of a Voronoi partition of the torus into `count` regions, with irregular borders."""
     pad = size // 2

@@ -21,6 +21,7 @@ from simulation.patterns import (
     STRIPE_TEXELS,
     draw_country,
     draw_grain,
+    draw_gusts,
     draw_land,
     draw_stripes,
     draw_vehicles,
@@ -34,16 +35,21 @@ Image = NDArray[np.float32]
 MEAN_ALBEDO = 0.30
 MIN_WEIGHT = 0.02
 VEHICLE_M_S = np.array([11.0, 4.0])
-STYLES = ("land", "water", "sea", "stripes", "plain", "traffic")
+STYLES = ("land", "water", "sea", "stripes", "plain", "traffic", "crops")
 SEA_WAVELENGTHS_M = (1.4, 2.2, 3.5, 5.5, 9.0, 14.0)
 GRAVITY_M_S2 = 9.81
+# Of crops in a wind: how fast its gusts go over them, how far they bend the ears (one sigma, m), and how much brighter
+# or darker what is bent is.
+GUSTS_M_S, GUST_TEXEL_M = np.array([3.2, -2.4]), 0.5
+SWAY_M, SHINE = 0.03 * np.array([0.8, -0.6]), 0.03
 
 
 @dataclass(frozen=True)
 class TextureSpec:
     """`style`: "land"; "water" (two patterns of waves that move through each other); "sea" (waves of many lengths
     before one wind, each at its own speed); "stripes" (rows `row_spacing_m` apart that repeat exactly); "plain"
-    (nothing to track); "traffic" (land, with vehicles, one in `vehicle_spacing_m` of each lane: on a twentieth of it).
+    (nothing to track); "traffic" (land, with vehicles, one in `vehicle_spacing_m` of each lane: on a twentieth of it);
+    "crops" (land that sways and shines in waves of some metres, as crops do below the gusts of a wind).
 
     `contrast` scales every brightness difference: 1 is pasture in sunlight, 0.1 is snow under cloud.
     """
@@ -163,17 +169,30 @@ def _traffic(seed: int, spacing: int) -> tuple[Tile, Tile]:
     return Tile(where, 0.25, bearing), Tile(paint, 0.25, bearing)
 
 
+@lru_cache(maxsize=1)
+def _gusts(seed: int) -> Tile:
+    """How far crops are bent: what a wind carries over them."""
+    return Tile(draw_gusts(np.random.default_rng([seed, 204])), GUST_TEXEL_M, 0.0)
+
+
 class Texture:
     """The brightness of the ground."""
 
     def __init__(self, spec: TextureSpec) -> None:
         self.spec = spec
-        self.layers = _layers("land" if spec.style == "traffic" else spec.style, spec.seed, spec.row_spacing_m)
+        style = "land" if spec.style in ("traffic", "crops") else spec.style
+        self.layers = _layers(style, spec.seed, spec.row_spacing_m)
+        self.gusts = _gusts(spec.seed) if spec.style == "crops" else None
         self.traffic = _traffic(spec.seed, 4 * spec.vehicle_spacing_m) if spec.style == "traffic" else None
 
     def albedo(self, origin_m: Array, x_m: Image, y_m: Image, footprint_m: Image, time_s: float = 0.0) -> Image:
         """Reflectance (H, W), 0.02 to 0.98, of the ground at `origin_m` (2,) + (`x_m`, `y_m`) in ENU metres."""
         total: Image = np.zeros(x_m.shape, np.float32)
+        if self.gusts is not None:
+            bent = np.zeros_like(total)
+            self.gusts.add_to(bent, origin_m - GUSTS_M_S * time_s, x_m, y_m, footprint_m)
+            total = total + np.float32(SHINE) * bent
+            x_m, y_m = (at - np.float32(by) * bent for at, by in zip((x_m, y_m), SWAY_M, strict=True))
         for layer in self.layers:
             layer.tile.add_to(total, origin_m - layer.velocity_m_s * time_s, x_m, y_m, footprint_m)
         total *= np.float32(self.spec.contrast)

@@ -19,7 +19,7 @@ from simulation.paths import PathSpec
 from simulation.renderer import Renderer, SensorSpec
 from simulation.session import SessionSpec, fly, make_flight
 from simulation.terrain import Terrain, TerrainSpec
-from simulation.texture import Texture, TextureSpec
+from simulation.texture import GUSTS_M_S, SHINE, Texture, TextureSpec
 from simulation.trajectory import Pose, RecordedTruth
 from simulation.truth import Truth
 from tests.rest_long import rest_long
@@ -269,3 +269,18 @@ def test_stabilised_and_zoomed_pictures_are_as_truth_says_and_the_camera_file_ma
         one, other = truth.optics.cameras[1], truth.optics.cameras[3]
         assert abs(one.cx_px - other.cx_px) + abs(one.cy_px - other.cy_px) + abs(one.fx_px - other.fx_px) > 2.0
         assert Camera.from_json(tmp_path / name / "camera.json") == filed
+
+
+def test_what_shines_in_crops_goes_with_the_wind_and_the_ground_below_stays() -> None:
+    east, north = (np.asarray(a, np.float32) for a in np.meshgrid(np.arange(0.0, 40.0, 0.4), np.arange(0.0, 40.0, 0.4)))
+    crops, land = Texture(TextureSpec("crops")), Texture(TextureSpec("land"))
+    far, origin = np.full_like(east, 0.4), np.array([3.0, 8.0])
+
+    def shine(time_s: float) -> np.ndarray:
+        at = origin + GUSTS_M_S * time_s
+        return np.asarray(crops.albedo(at, east, north, far, time_s) - land.albedo(at, east, north, far), float)
+
+    now, later = shine(0.0), shine(2.0)
+    assert 0.5 * SHINE < now.std() < 1.5 * SHINE
+    assert np.corrcoef(now.ravel(), later.ravel())[0, 1] > 0.7  # but for what bends with it
+    assert abs(np.corrcoef(now.ravel(), land.albedo(origin, east, north, far).ravel())[0, 1]) < 0.4
