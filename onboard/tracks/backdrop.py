@@ -22,6 +22,7 @@ STRIDE, ROUNDS = 4, 2  # of the fit: every so many pixels, so often weighed agai
 MISFIT_PX = 0.4  # one sigma of what is left of the misfit between two pictures
 LEAST_SHIFT_PX = 0.08  # for which a layer is rendered again
 LEAST_NOISE = 1.0  # grey levels
+LIFT_SHARE = 1.5  # of a thing's size, within which the ground about it becomes brighter or darker as one
 END_GREY = 2.0  # grey levels from a picture's darkest or brightest, within which a pixel may be clipped
 NEAR_PX = 2.0  # one sigma of how far what differs about a pixel counts for one of which nothing is known
 CLEAR, CERTAIN = 2.5, 6.0  # sigmas at which a pixel begins to count as something else, and at which it is
@@ -104,7 +105,9 @@ class _Clipped:
     high_behind: Mask
 
 
-def difference(pictures: Pictures, seen: Seen, patch: Patch, since: Seen | None = None) -> Change | None:
+def difference(
+    pictures: Pictures, seen: Seen, patch: Patch, size_px: float, since: Seen | None = None
+) -> Change | None:
     """Return what has changed in a patch, or what has `since` one picture. (24.5)
 
     None without at least two earlier pictures of the same ground, or that one; 0 where pictures do not reach.
@@ -112,11 +115,12 @@ def difference(pictures: Pictures, seen: Seen, patch: Patch, since: Seen | None 
     layers, known, clipped = _aligned(pictures, seen, patch, earlier(pictures, seen) if since is None else [since])
     if len(layers) < (2 if since is None else 1):
         return None
-    behind, shown = np.median(layers, axis=0) if len(layers) > 2 else layers[-1], None
+    behind, shown = _middle(layers) if len(layers) > 2 else layers[-1], None
     if known is not None:
         shown = known.sum(axis=0) >= min(len(layers), 2)
         middle = np.nanmedian(np.where(known | ~shown, layers, np.nan), axis=0)
         behind = np.where(shown, middle, patch.image).astype(np.float32)
+    behind = behind + _lift(patch.image - behind, size_px)
     off = np.abs(patch.image - behind)
     is_bound = None if clipped is None else _bounded(patch.image - behind, off, clipped)
     counted = off if is_bound is None or is_bound.all() else off[~is_bound]
@@ -132,6 +136,34 @@ def difference(pictures: Pictures, seen: Seen, patch: Patch, since: Seen | None 
     if unknown is not None:
         surely = suggested(surely, ~unknown)
     return Change(patch.corner, surely, behind, sigma, shown, unknown)
+
+
+def _lift(off: Image, size_px: float) -> Image:
+    """How much brighter the ground is than it was, about each pixel; `off` (S, S): picture less ground. (24.31)
+
+    Gusts through crops, and clouds, change it by areas larger than a thing. Nothing where no more varies than noise.
+    """
+    width = 2 * int(np.ceil(LIFT_SHARE * size_px)) + 1
+    noise = max(1.48 * _median(np.abs(off)), LEAST_NOISE)
+    weight = 1.0 / (1.0 + (off / (2.0 * noise)) ** 2)
+    near = cv2.blur(weight * off, (width, width)) / cv2.blur(weight, (width, width))
+    varies = (1.48 * _median(np.abs(near))) ** 2
+    by_noise = noise * noise / (width * width)
+    return np.asarray(near * np.float32(max(0.0, 1.0 - by_noise / max(varies, 1e-6))), np.float32)
+
+
+def _middle(layers: Image) -> Image:
+    """The median (S, S) of layers (L, S, S): so few are sorted sooner pair by pair than by NumPy."""
+    rows = list(layers)
+    for last in range(len(rows) - 1, (len(rows) - 1) // 2 - 1, -1):
+        for i in range(last):
+            rows[i], rows[i + 1] = np.minimum(rows[i], rows[i + 1]), np.maximum(rows[i], rows[i + 1])
+    half = len(rows) // 2
+    return np.asarray(rows[half] if len(rows) % 2 else 0.5 * (rows[half - 1] + rows[half]), np.float32)
+
+
+def _median(values: Image) -> float:
+    return float(np.partition(values, values.size // 2, axis=None)[values.size // 2])
 
 
 def _bounded(more: Image, off: Image, clipped: _Clipped) -> Mask:

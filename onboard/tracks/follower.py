@@ -75,14 +75,16 @@ class Observation:
 class _Window:
     """The places (N, N, 2), px, in a patch at which it is looked for, N = 2 reach + 1, and what is known of each.
 
-    `far`: its squared distance from the prediction over that covariance. `differs`: the sureness that a thing of its
-    size there is something that was not there before; None without `changed`. `has_left`: it is not where it stood.
+    `far`: its squared distance from the prediction over that covariance, `spread_px2` the area that this covers.
+    `differs`: the sureness that a thing of its size there is something that was not there before; None without
+    `changed`. `has_left`: it is not where it stood.
     """
 
     patch: Patch
     reach: int
     place: Array
     far: Array
+    spread_px2: float
     changed: Change | None
     differs: Image | None
     has_left: bool
@@ -158,7 +160,7 @@ class Follower:
         reach = self._reach()
         half = self._half()
         patch = cut(seen, self._uv, reach + half + 6)
-        changed = difference(self._pictures, seen, patch)
+        changed = difference(self._pictures, seen, patch, self._size)
         is_again = self.unseen_s(seen) > AGAIN_S
         whole, since = changed, None if changed is None else self._since_it_left(seen, changed, patch)
         has_left = self._is_gone and changed is not None
@@ -167,7 +169,7 @@ class Follower:
         if changed is not None and (self._stands() or is_again) and seen.stamp_ns - self._stood_ns < AGES_S[-1] * 1e9:
             changed = replace(changed, surely=self._without_uncovered(changed, self._stood))
         wanted = Wanted.of(self._looks, half, self._size, self._known_velocity(), self._spread)
-        window = self._window(patch, changed, reach, has_left)
+        window = self._window(patch, changed, reach, has_left, self._uv, self._cov[:2, :2])
         found = self._best(window, wanted, LEAST_AGAIN if is_again else LEAST_LIKENESS)
         by_look = found is not None
         if found is None:
@@ -200,7 +202,7 @@ class Follower:
             return 0
         since_ns, patch = self._seen.stamp_ns, cut(self._seen, self._uv, self._half() + 6)
         for other in earlier(self._pictures, self._seen):
-            changed = difference(self._pictures, self._seen, patch, other)
+            changed = difference(self._pictures, self._seen, patch, self._size, other)
             if changed is None or self._differs_at(self._uv, changed) >= self._left_px2():
                 break
             since_ns = other.stamp_ns
@@ -224,7 +226,7 @@ class Follower:
         if not self._stands() or (not self._is_gone and self._differs_at(self._rest, changed) < self._left_px2()):
             self._as_stood, self._is_gone = seen, False
             return None
-        since = None if self._as_stood is seen else difference(self._pictures, seen, patch, self._as_stood)
+        since = None if self._as_stood is seen else difference(self._pictures, seen, patch, self._size, self._as_stood)
         self._is_gone = since is None or self._differs_at(self._rest, since) >= self._left_px2()
         return since if self._is_gone else None
 
@@ -245,7 +247,11 @@ class Follower:
             self._looks, self._is_size_known = [look], True
             left = self._without_uncovered(found.changed, self._rest)
             changed = replace(found.changed, surely=left)
-            window = self._window(found.patch, changed, found.reach, found.has_left)
+            since_s = (self._seen.stamp_ns - self._as_stood.stamp_ns) * 1e-9
+            sigma_px = float(np.hypot(CLICK_SIGMA_PX, 0.5 * ACCELERATION_M_S2 / self._m_px * since_s**2))
+            window = self._window(
+                found.patch, changed, found.reach, found.has_left, self._rest, sigma_px**2 * np.eye(2)
+            )
             at = self._otherwise(window, Wanted.of(self._looks, half, size, np.zeros(2), self._spread))
             if at is not None and np.hypot(*(at[0] - self._rest)) >= size:
                 return at
@@ -304,18 +310,23 @@ class Follower:
     def _half(self) -> int:
         return int(np.clip(np.ceil(0.75 * self._size), 3, 30))
 
-    def _window(self, patch: Patch, changed: Change | None, reach: int, has_left: bool) -> _Window:
-        """The places about the middle of a patch, with what is known of each before its look."""
+    def _window(
+        self, patch: Patch, changed: Change | None, reach: int, has_left: bool, about: Array, cov: Array
+    ) -> _Window:
+        """The places about the middle of a patch, with what is known of each before its look; it is predicted `about`
+        (2,), px, with the covariance (2, 2).
+        """
         steps = np.arange(-reach, reach + 1, dtype=float)
         place = np.asarray(np.stack(np.meshgrid(steps, steps), axis=-1) + patch.corner + patch.middle, float)
-        off = place - self._uv
-        far = np.einsum("ijk,kl,ijl->ij", off, np.linalg.inv(self._cov[:2, :2] + 0.25 * np.eye(2)), off)
+        off, cov = place - about, cov + 0.25 * np.eye(2)
+        far = np.einsum("ijk,kl,ijl->ij", off, np.linalg.inv(cov), off)
+        spread_px2 = 2.0 * np.pi * float(np.sqrt(np.linalg.det(cov)))
         if changed is None:
-            return _Window(patch, reach, place, far, None, None, has_left)
+            return _Window(patch, reach, place, far, spread_px2, None, None, has_left)
         cover = cv2.GaussianBlur(changed.surely, (0, 0), max(0.3 * self._size, 0.8))
         inner = slice(patch.middle - reach, patch.middle + reach + 1)
         differs = np.asarray(np.clip(1.6 * cover[inner, inner], 0.0, 1.0), np.float32)
-        return _Window(patch, reach, place, far, changed, differs, has_left)
+        return _Window(patch, reach, place, far, spread_px2, changed, differs, has_left)
 
     def _best(self, found: _Window, wanted: Wanted, least: float) -> tuple[Array, float] | None:
         """(24.7): the likeliest place in the picture and its one sigma; None if none looks like it by `least`."""
@@ -352,6 +363,8 @@ class Follower:
             is_there = least > LEAST_LIKENESS or np.hypot(*(place[j, i] - self._rest)) < LEFT_REACH_PX
             by_look = by_look and not is_there
         if not (by_look or (differs >= SURE_DIFFERENCE and like >= least)):
+            return None
+        if not by_look and self._odds(wanted.log_evidence(like), found, wanted, int(j), int(i)) < SURE_ODDS:
             return None
         peak = _climbed(likeness, int(j), int(i), int(CLIMB_SHARE * self._size))
         matched, sigma = place[peak] + _peak(likeness, *peak[::-1]), 0.3 + 2.0 * (1.0 - like)
@@ -411,11 +424,17 @@ class Follower:
             for x in range(at[0] - 1, at[0] + 2)
             for y in range(at[1] - 1, at[1] + 2)
         )
-        others = max((self._m_px / OTHERS_APART_M) ** 2, wanted.others(changed.surely, at))
-        spread_px2 = 2.0 * np.pi * float(np.sqrt(np.linalg.det(self._cov[:2, :2] + 0.25 * np.eye(2))))
-        if ratio - 0.5 * float(found.far[j, i]) - float(np.log(spread_px2 * others)) < SURE_ODDS:
+        if self._odds(ratio, found, wanted, int(j), int(i)) < SURE_ODDS:
             return None
         return self._centred(changed.surely, at, patch)
+
+    def _odds(self, ratio: float, found: _Window, wanted: Wanted, j: int, i: int) -> float:
+        """The logarithm of the odds that what is at a place is the thing and not another, (24.24), where it looks like
+        it by `ratio`, a logarithm as well.
+        """
+        others = 0.0 if found.changed is None else wanted.others(found.changed.surely, found.at(j, i))
+        others = max((self._m_px / OTHERS_APART_M) ** 2, others)
+        return ratio - 0.5 * float(found.far[j, i]) - float(np.log(found.spread_px2 * others))
 
     def _without_uncovered(self, changed: Change, uv: Array) -> Image:
         """The change without the part about a place, where the thing stood: as it leaves it uncovers ground, of
@@ -512,9 +531,16 @@ class Follower:
         self._spread = float(np.sqrt(self._spread**2 + SPREAD_LEARNED * (off - self._spread**2)))
 
     def _find_size(self) -> bool:
-        """Find its middle and size from what differs about the click, if the thing has been moving; return whether."""
+        """Find its middle and size from what differs about the click, if the thing has been moving; return whether.
+
+        By the ground about a usual thing, then about the least: what shines may do so over little more than that.
+        """
         patch = cut(self._seen, self._uv, int(MOST_SIZE_PX))
-        changed = difference(self._pictures, self._seen, patch)
+        return any(self._find_region(patch, size_px) for size_px in (USUAL_SIZE_PX, LEAST_SIZE_PX))
+
+    def _find_region(self, patch: Patch, size_px: float) -> bool:
+        """The same by the ground about a thing of one size. (24.31)"""
+        changed = difference(self._pictures, self._seen, patch, size_px)
         if changed is None:
             return False
         sure = cv2.morphologyEx((changed.surely > CHANGED).astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))

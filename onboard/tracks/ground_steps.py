@@ -30,6 +30,7 @@ LEAST_FEATURES, LEAST_SHARE = 12, 0.4  # that must follow it, in number and of t
 FROM_SMALL = np.array([[2.0, 0.0, 0.5], [0.0, 2.0, 0.5], [0.0, 0.0, 1.0]])  # pixels at half the size -> the picture's
 TO_SMALL = np.linalg.inv(FROM_SMALL)
 GRID = (8, 6)
+SHINE_PX, MIDDLE_GREY = 9, 128.0  # what features are followed in varies over less
 
 
 @dataclass(eq=False)
@@ -44,6 +45,7 @@ class Seen:
     locator: Locator | None = None  # of its set, once it was asked for
     is_joined: bool = False  # whether the step from the one before has been looked for
     _small: tuple[Grey, NDArray[np.float32]] | None = field(default=None, repr=False)
+    _grain: Grey | None = field(default=None, repr=False)
     _ends: tuple[float, float] | None = field(default=None, repr=False)
 
     def ends(self) -> tuple[float, float]:
@@ -53,10 +55,20 @@ class Seen:
             self._ends = low, high
         return self._ends
 
+    def grain(self) -> Grey:
+        """The picture less what varies over more than SHINE_PX, made once. (24.34)
+
+        Shine moves over the ground, as gusts do over crops and clouds over fields, and would take features with it.
+        """
+        if self._grain is None:
+            shine = cv2.blur(self.image, (SHINE_PX, SHINE_PX))
+            self._grain = np.asarray(cv2.addWeighted(self.image, 1.0, shine, -1.0, MIDDLE_GREY), np.uint8)
+        return self._grain
+
     def small(self) -> tuple[Grey, NDArray[np.float32]]:
         """The picture at half the size and features (N, 2) in it, made once."""
         if self._small is None:
-            image = np.asarray(cv2.resize(self.image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), np.uint8)
+            image = np.asarray(cv2.resize(self.grain(), None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), np.uint8)
             apart = max(3.0, SPACING * image.shape[1])
             found = cv2.goodFeaturesToTrack(image, FEATURES, 0.01, apart, blockSize=5)
             at = np.zeros((0, 2)) if found is None else found.reshape(-1, 2)
@@ -139,7 +151,7 @@ def step(first: Seen, second: Seen, last_step: Array | None = None) -> Array | N
     if rough is None:
         return predicted
     at = 2.0 * at + np.float32(0.5)
-    fine = _followed(first.image, second.image, at, FROM_SMALL @ rough @ TO_SMALL, 0)
+    fine = _followed(first.grain(), second.grain(), at, FROM_SMALL @ rough @ TO_SMALL, 0)
     return FROM_SMALL @ rough @ TO_SMALL if fine is None else fine
 
 

@@ -24,6 +24,7 @@ Image = NDArray[np.float32]
 LEARNED = 0.3  # of what the newest picture shows of a pixel's cover, where thing and ground differ
 OTHER_GREY = 64.0  # one sigma of another thing's grey levels about the ground's
 OWN_SHARE = 0.5  # of pixels, that are news of their own: the lens has blurred neighbours together
+TURNED_SHARE = 0.15  # of its size: how far a part of a thing may be from where it should, if it has turned
 RIM_PX = 0.8  # of the lens and of what the cover was learned from
 LEAST_COVER_PX = 2.0  # area of a thing, below which it is not put together
 
@@ -97,12 +98,18 @@ class Wanted:
         out: Image = cv2.filter2D(search, cv2.CV_32F, self.kernel)[half:-half, half:-half] / spread
         return out
 
+    def log_evidence(self, like: float) -> float:
+        """Return the logarithm of how much likelier a correlation is of the thing than of another. (24.32)"""
+        count = OWN_SHARE / float((self.mask * self.mask).sum())
+        return -0.5 * count * float(np.log(max(1.0 - like * like, 1e-3))) if like > 0.0 else 0.0
+
     def others(self, surely: Image, at: Array) -> float:
         """Return how many other things of this size a square pixel of a patch shows, by what differs away from `at`."""
         half = self.mask.shape[0] // 2
-        rows, columns = np.mgrid[: surely.shape[0], : surely.shape[1]]
-        away = np.maximum(np.abs(rows - at[1]), np.abs(columns - at[0])) > half
-        return float(surely[away].mean() / max(float(self.cover.sum()), 1.0)) if away.any() else 0.0
+        column, row = (int(n) for n in at)
+        here = surely[max(row - half, 0) : row + half + 1, max(column - half, 0) : column + half + 1]
+        away = surely.size - here.size
+        return float(surely.sum() - here.sum()) / away / max(float(self.cover.sum()), 1.0) if away else 0.0
 
     @cached_property
     def has_cover(self) -> bool:
@@ -121,23 +128,42 @@ class Wanted:
         usual = float((share * self.grey).sum()) / max(float(share.sum()), 1e-6)
         return share, 2.0 * soft * (1.0 - soft), share * self.grey + (1.0 - share) * np.float32(usual)
 
+    @cached_property
+    def likes(self) -> list[tuple[Image, Image, Image, float]]:
+        """`inside` and one sigma of its grey; and of a thing so large that a part of it may be elsewhere than it
+        should, because it has turned: with its usual grey all over it. (24.33)
+        """
+        share, rim, grey = self.inside
+        out = [(share, rim, grey, self.spread)]
+        away_px = TURNED_SHARE * float(np.sqrt(self.cover.sum()))
+        if away_px > RIM_PX:
+            total = max(float(share.sum()), 1e-6)
+            usual = float((share * grey).sum()) / total
+            spread = float(np.hypot(self.spread, np.sqrt((share * (grey - usual) ** 2).sum() / total)))
+            soft = np.asarray(cv2.GaussianBlur(self.cover, (0, 0), away_px, borderType=cv2.BORDER_CONSTANT), np.float32)
+            out.append((soft, 2.0 * soft * (1.0 - soft), np.full_like(grey, usual), spread))
+        return out
+
     def log_ratio(self, image: Image, behind: Image, sigma: Image, known: Image | float = 1.0) -> float:
-        """Return the logarithm of how much likelier the thing there is than another, or than the ground alone. (24.23)
+        """Return the logarithm of how much likelier the thing there is than another, or than the ground alone. (24.23),
+        (24.33)
 
         All (2 half + 1) squared, about the place; `known`: 1 where a pixel speaks for any of them, 0 where it does not.
         -inf where the thing's cover is not known.
         """
         if not self.has_cover:
             return -np.inf
-        (cover, rim, grey), off, noise = self.inside, image - behind, sigma * sigma
-        level = float(behind.mean())
-        its = noise + (cover * self.spread) ** 2 + (rim * (grey - behind)) ** 2
-        anothers = noise + (cover * OTHER_GREY) ** 2 + (rim * OTHER_GREY) ** 2
-        left = (off - cover * (grey - behind)) ** 2 / its + np.log(its)
-        other = (off - cover * (level - behind)) ** 2 / anothers + np.log(anothers)
-        ground = off * off / noise + np.log(noise)
-        by_other, by_ground = (0.5 * OWN_SHARE * float((known * (which - left)).sum()) for which in (other, ground))
-        return min(by_other, by_ground)
+        off, noise, level = image - behind, sigma * sigma, float(behind.mean())
+
+        def missed(cover: Image, grey: Image | float, variance: Image) -> float:
+            return float((known * ((off - cover * (grey - behind)) ** 2 / variance + np.log(variance))).sum())
+
+        its, others = [], []
+        for cover, rim, grey, spread in self.likes:
+            its.append(missed(cover, grey, noise + (cover * spread) ** 2 + (rim * (grey - behind)) ** 2))
+            others.append(missed(cover, level, noise + OTHER_GREY**2 * (cover**2 + rim**2)))
+        ground = float((known * (off * off / noise + np.log(noise))).sum())
+        return 0.5 * OWN_SHARE * (min(*others, ground) - min(its))
 
 
 def cover_of(patch: Patch, changed: Change | None, wanted: Wanted | None, uv_px: Array) -> Image:

@@ -64,13 +64,17 @@ class World:
         self._scale = 255.0 / np.quantile(self._ground, 1.0 - self.clipped) if self.clipped > 0.0 else 1.0
         self._lift = -np.quantile(self._ground, -self.clipped) if self.clipped < 0.0 else 0.0
 
+    def ground(self, time_s: float) -> Array:
+        """What it looks like (900, 900), grey levels, without the things."""
+        return self._ground
+
     def image(self, frame: int) -> NDArray[np.uint8]:
         """The picture (240, 320)."""
         t = frame / RATE_HZ
         east, north = self.camera(t)
         left, top = 450.0 + east / M_PX - 159.5, 450.0 - north / M_PX - 119.5
         M = np.array([[1.0, 0.0, left], [0.0, 1.0, top]])
-        out = cv2.warpAffine(self._ground, M, (320, 240), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
+        out = cv2.warpAffine(self.ground(t), M, (320, 240), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
         columns, rows = np.meshgrid(np.arange(320.0), np.arange(240.0))
         for thing in self.things:
             if not thing.is_shown(t):
@@ -115,6 +119,21 @@ class Paved(World):
     def __post_init__(self) -> None:
         super().__post_init__()
         self._ground[:, 450:] += 95.0
+
+
+@dataclass
+class Crops(World):
+    """With a wind of 4 m/s, whose gusts make it brighter and darker by some 14 grey levels in waves of 6 m."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        gusts = np.random.default_rng([self.seed, 7]).normal(0.0, 21.0, (60, 60)).astype(np.float32)
+        self._gusts = cv2.resize(gusts, (900, 900), interpolation=cv2.INTER_CUBIC)
+
+    def ground(self, time_s: float) -> Array:
+        """The same with the gusts of that moment."""
+        M = np.array([[1.0, 0.0, 4.0 * time_s / M_PX], [0.0, 1.0, 0.0]])
+        return np.asarray(self._ground + cv2.warpAffine(self._gusts, M, (900, 900)), float)
 
 
 @dataclass

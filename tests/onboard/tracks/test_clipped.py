@@ -89,7 +89,7 @@ def test_a_clipped_pixel_shows_no_more_than_a_bound() -> None:
     now[50:60, 20:30] = GROUND  # something that is not, on clipped ground
     pictures, seen = pictures_of(*[ground + rng.normal(0.0, 1.0, ground.shape) for _ in range(5)], now)
     patch = cut(seen[-1], np.array([39.5, 39.5]), 36)
-    changed = difference(pictures, seen[-1], patch)
+    changed = difference(pictures, seen[-1], patch, 5.0)
     rows, columns = np.mgrid[:73, :73] + patch.corner[::-1, None, None]
     is_dark = (rows >= 50) & (rows < 60) & (columns >= 20) & (columns < 30)
     is_bright = (rows >= 20) & (rows < 30) & (columns >= 50) & (columns < 60)
