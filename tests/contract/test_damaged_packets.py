@@ -61,7 +61,7 @@ PACKETS = {
     "tracks": Packet([TRACK + TRACK], decode_tracks, lambda tracks: all(is_on_earth(t.place) for t in tracks)),
     "spots": Packet([SPOTS], decode_spots, lambda report: all(is_on_earth(spot.place) for spot in report.spots), {
         TruncatedPayload: [b"", SPOTS[:10]], CorruptPayload: [SPOTS[:-1], SPOTS + b"\0", b"\x01" + SPOTS[1:]],
-        NewerPayload: [b"\x21" + SPOTS[1:], SPOTS[:38] + b"\x3f" + SPOTS[39:]],
+        NewerPayload: [b"\x31" + SPOTS[1:], SPOTS[:38] + b"\x3f" + SPOTS[39:]],
     }),
     "click": Packet(CLICKS, decode, is_sane_answer, {
         TruncatedPayload: [CLICKS[0][:30], b""], CorruptPayload: [b"\x1f" + CLICKS[0][1:]],
