@@ -51,6 +51,7 @@ def can_be_assembled(piece: Any) -> bool:
 
 
 TRACK, SPOTS = encode_track(test_track_code.REPORT), encode_spots(test_spot_code.REPORT)
+NAMED = encode_spots(replace(test_spot_code.REPORT, person_found=0.2, person_named=(None, 0.5) * 10))
 CLICKS = [encode_answer(ClickAnswer(7, replace(fix, vehicle="12345678"))) for fix in (FIX, MEASURED)]
 PIECE = packets(bytes(500), None, 101)[0]
 PACKETS = {
@@ -59,7 +60,7 @@ PACKETS = {
         NewerPayload: [b"\x21" + TRACK[1:], TRACK[:4] + b"\xff" + TRACK[5:]],
     }),
     "tracks": Packet([TRACK + TRACK], decode_tracks, lambda tracks: all(is_on_earth(t.place) for t in tracks)),
-    "spots": Packet([SPOTS], decode_spots, lambda report: all(is_on_earth(spot.place) for spot in report.spots), {
+    "spots": Packet([SPOTS, NAMED], decode_spots, lambda found: all(is_on_earth(spot.place) for spot in found.spots), {
         TruncatedPayload: [b"", SPOTS[:10]], CorruptPayload: [SPOTS[:-1], SPOTS + b"\0", b"\x01" + SPOTS[1:]],
         NewerPayload: [b"\x31" + SPOTS[1:], SPOTS[:38] + b"\x3f" + SPOTS[39:]],
     }),
