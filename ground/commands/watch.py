@@ -70,9 +70,7 @@ class Row:
     radius: str = ""  # what the ellipse is mostly from, and what would make it smaller; empty: not known
     look: str = ""  # who had its camera look where last
     heat: str = ""  # the state of a second camera, for hot spots, that is not well
-    fix: int | None = (
-        None  # of the receiver, MAVLink's GPS_FIX_TYPE; this and the next four are the aircraft's as of now
-    )
+    fix: int | None = None  # MAVLink's GPS_FIX_TYPE; this and the next four are as the aircraft reports them now
     satellites: int | None = None
     battery_percent: int | None = None
     battery_v: float | None = None
