@@ -74,7 +74,7 @@ class VehicleStatus:
 
     @property
     def battery_words(self) -> str:
-        """What the battery has left, for people: "64 %, 22.1 V"; empty where it is not known."""
+        """The battery's charge and voltage for people: "64 %, 22.1 V"; empty where it is not known."""
         percent = None if self.battery_percent is None else f"{self.battery_percent} %"
         volts = None if self.battery_v is None else f"{self.battery_v:.1f} V"
         return ", ".join(text for text in (percent, volts) if text is not None)

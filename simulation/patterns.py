@@ -49,7 +49,7 @@ def draw_grain(rng: np.random.Generator) -> Image:
 
 
 def draw_gusts(rng: np.random.Generator) -> Image:
-    """How far a wind's gusts bend what grows, in their mean: unit variance, from 6 texels to 40."""
+    """Return how far a wind's gusts bend what grows, in their mean: unit variance, from 6 texels to 40."""
     return periodic_noise(rng, COUNTRY_SIZE, 6.0, 40.0, 0.3)
 
 

@@ -171,7 +171,7 @@ def _traffic(seed: int, spacing: int) -> tuple[Tile, Tile]:
 
 @lru_cache(maxsize=1)
 def _gusts(seed: int) -> Tile:
-    """How far crops are bent: what a wind carries over them."""
+    """The field of how far crops are bent, which a wind carries over them."""
     return Tile(draw_gusts(np.random.default_rng([seed, 204])), GUST_TEXEL_M, 0.0)
 
 

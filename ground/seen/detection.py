@@ -58,8 +58,8 @@ class Detection:
 
 @dataclass(eq=False)
 class _Machine:
-    """By cell (n,): the share of people about it whom the session had named when a pass last saw it, of all passes the
-    `best`; and what all would name together, were they independent. (23.5) to (23.8)
+    """The state of the machine's search by cell (n,): the share of people about it whom the session had named when a
+    pass last saw it, of all passes the `best`; what all would name together, were they independent. (23.5) to (23.8)
     """
 
     n: int

@@ -139,11 +139,7 @@ def _beginning(video: Path, log: TelemetryLog, another: str, arguments: argparse
     subtitles are not this video's, or not the whole of it. Raises InputError.
     """
     if log.video_epoch_ns is not None and another:
-        stated = None
-        if arguments.clock_offset is not None:
-            ahead_s, sigma_s = arguments.clock_offset
-            stated = Stated(-ahead_s, sigma_s, "--clock-offset")
-        return _Beginning(log.video_epoch_ns, another, stated, is_own=True)
+        return _Beginning(log.video_epoch_ns, another, _by_offset(arguments), is_own=True)
     if log.video_epoch_ns is not None:
         return _Beginning(log.video_epoch_ns, "as its log counts")
     if log.video_began is not None and set(arguments.telemetry) <= {video} and arguments.start is None:
@@ -156,13 +152,17 @@ def _beginning(video: Path, log: TelemetryLog, another: str, arguments: argparse
     offset_ns = round(arguments.utc_offset * 3600e9)
     for found, source in ((stamp_from_name(video.name), "its name"), (creation_ns(video), "the file's creation time")):
         if found is not None:
-            stated = None
-            if arguments.clock_offset is not None:
-                ahead_s, sigma_s = arguments.clock_offset
-                late_s, cut_s = CUT_S if found % NS_PER_S == 0 else (0.0, 0.0)
-                stated = Stated(late_s - ahead_s, math.hypot(sigma_s, cut_s), "--clock-offset")
-            return _Beginning(found - offset_ns, f"{source} and its clock", stated)
+            late_s, cut_s = CUT_S if found % NS_PER_S == 0 else (0.0, 0.0)
+            return _Beginning(found - offset_ns, f"{source} and its clock", _by_offset(arguments, late_s, cut_s))
     raise InputError(f"{video}: nothing states when it began: give --start, in UTC, as 2026-06-12T10:15:23.4Z")
+
+
+def _by_offset(arguments: argparse.Namespace, late_s: float = 0.0, cut_s: float = 0.0) -> Stated | None:
+    """Return the offset that is given of a beginning which is too early by `late_s`, one sigma of that `cut_s`."""
+    if arguments.clock_offset is None:
+        return None
+    ahead_s, sigma_s = arguments.clock_offset
+    return Stated(late_s - ahead_s, math.hypot(sigma_s, cut_s), "--clock-offset")
 
 
 def _by_stamps(stamps_ns: Sequence[int], arguments: argparse.Namespace) -> _Beginning:

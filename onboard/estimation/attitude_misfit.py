@@ -11,7 +11,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
 
 from onboard.estimation.bundle_adjustment import Solution
 from onboard.estimation.factors import AttitudePrior, Prior, SharedPrior, State
@@ -25,7 +24,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class AttitudeMisfit:
-    """By how many sigmas of such residuals a solution's mount (3,) and tilt are off what was known of them.
+    """The misfit of a solution's mount (3,) and tilt to what was known of them, in sigmas of such residuals.
 
     Equations (16.12), (16.14). `tilt_variance`: times the tilt's variance, so that attitude and mount leave as much of
     the camera's tilt unknown as it is off, (16.15).
@@ -74,11 +73,11 @@ def _tilt(attitude: AttitudePrior, state: State, S: Array, right: Array) -> tupl
     """The misfit of a constant error of the tilt, (16.14), and the variance of one about a level axis, rad²."""
     is_tilt = np.array(attitude.sensors) == TILT
     rows, jacobians = attitude.by_axis(state)
-    constant = block_diag(*attitude.whitener[is_tilt].sum(axis=2, keepdims=True))
+    constant = attitude.constant_errors(is_tilt)
     left, redundancy = _left(S, right, rows[is_tilt].ravel(), jacobians[is_tilt].reshape(len(constant), -1))
     pull = constant.T @ left
     found = np.linalg.lstsq(constant.T @ redundancy @ constant, pull, rcond=LEAST_REDUNDANCY)[0]
-    misfit = float(np.sqrt(max(pull @ found - 1.0, 0.0)))
+    misfit = float(np.sqrt(max(float(pull @ found) - 1.0, 0.0)))
     return misfit, len(pull) / float(np.sum(constant**2))
 
 

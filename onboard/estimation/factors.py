@@ -16,6 +16,7 @@ from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from contract.rotations import exp_so3, log_so3, right_jacobian_inverse, skew
 from onboard.estimation import sensor_table
@@ -234,6 +235,11 @@ class SensorPrior(ABC):
     @abstractmethod
     def by_axis(self, state: State) -> tuple[Array, Array]:
         """Residual (3, n), Jacobian (3, n, D)."""
+
+    def constant_errors(self, axes: NDArray[np.bool_]) -> Array:
+        """Return the whitened residuals (m n, m) of a constant error of each of the m chosen axes; `axes` (3,)."""
+        out: Array = block_diag(*self.whitener[axes].sum(axis=2, keepdims=True))
+        return out
 
     def evaluate(self, state: State) -> tuple[Array, Array]:
         """The same as (3n,) and (3n, D)."""

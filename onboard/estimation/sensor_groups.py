@@ -13,7 +13,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
 from scipy.special import chdtri, fdtri
 
 from onboard.estimation.factors import Prior, State, of_sensors
@@ -136,7 +135,7 @@ def innovations(
             axes, sigma = np.array(prior.sensors) == group, np.sqrt(factors.get(group, 1.0))
             r = residuals[axes].ravel()
             J = jacobians[axes].reshape(len(r), -1)
-            constant = block_diag(*prior.whitener[axes].sum(axis=2, keepdims=True))
+            constant = prior.constant_errors(axes)
             values, vectors = np.linalg.eigh(np.eye(len(r)) - J @ covariance @ J.T)
             known = values > LEAST_REDUNDANCY
             values = np.clip(values, LEAST_REDUNDANCY, 1.0)

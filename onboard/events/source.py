@@ -43,7 +43,7 @@ class Severity(Enum):
 
 @dataclass(frozen=True)
 class AircraftReport:
-    """What an autopilot reports of its aircraft for people to read, as of now; nothing is computed from it."""
+    """An autopilot's report of its aircraft for people to read, as of now; nothing is computed from it."""
 
     mode: str = ""  # by its name; empty where it is not known
     battery_percent: int | None = None  # left, by the autopilot's own count

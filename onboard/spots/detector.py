@@ -44,7 +44,7 @@ class Detector:
         self._pixel_m = 0.0  # of the newest picture with a scale
         self._people = TriedPeople()
         self.tried = Tried()
-        """What became in the newest picture of people who are put on the ground."""
+        """The outcome in the newest picture of trying people who are put on the ground."""
 
     @property
     def thresholds(self) -> dict[float, float]:

@@ -1,4 +1,4 @@
-"""Where a picture shows places of level ground, and which ground that is: by its set's plane. (25.24)"""
+"""The places of level ground that a picture shows, and where in it: by its set's plane. (25.24)"""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class GroundView:
         """The ground that it would show, were all pixels as the usual one."""
 
     def shares(self, en_m: Array) -> tuple[Array, Mask]:
-        """Where in the picture places (N, 2) are, in shares of its height and width (N, 2), and whether they are."""
+        """Return where in the picture places (N, 2) are, in shares of its height and width (N, 2), and which are."""
         lat_lon = self._origin.to_geodetic(np.column_stack([en_m, np.zeros(len(en_m))]))
         east_north = self._frame.to_enu(lat_lon[:, 0], lat_lon[:, 1], self._frame.height_m + self._below_m)[:, :2]
         up = (1.0 - east_north @ self._normal[:2]) / self._normal[2]

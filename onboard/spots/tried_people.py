@@ -27,7 +27,7 @@ _HALF = 2**30  # rows and columns of places, in one number
 
 @dataclass(frozen=True)
 class Tried:
-    """What became of the people in a picture: the share that it finds, and by its parts, PERSON_GRID row by row, the
+    """The outcome for the people in a picture: the share that it finds, and by its parts, PERSON_GRID row by row, the
     share that has been named by now, None of a part that shows no ground. None and empty if none is in view.
     """
 

@@ -1,4 +1,4 @@
-"""Whether a person at a place would be found in a picture: tried in the picture itself. (25.23)"""
+"""The search's trial of a person at a place: put into the picture itself, found or not. (25.23)"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an autopilot reports of its aircraft for people to read: mode and battery. No link, no clock.
+"""An autopilot's reports of its aircraft for people to read: mode and battery. No link, no clock.
 
 The battery is that of SYS_STATUS: of several ArduPilot reports its first there and PX4 the one with the least left, and
 both send it unasked to ground stations.

@@ -82,7 +82,7 @@ def tracks_of(path: Path) -> list[Track]:
 
 
 def _late_s(stream: BinaryIO, start: int, end: int, movie_hz: float) -> float | None:
-    """When a track of pictures begins to be shown, s; None for another track."""
+    """Return when a track of pictures begins to be shown, s; None for another track."""
     try:
         media = dict(_inside(stream, start, end, b"mdia"))
         is_of_pictures = _read(stream, media[b"hdlr"])[8:12] == b"vide"

@@ -124,7 +124,7 @@ def difference(
     off = np.abs(patch.image - behind)
     is_bound = None if clipped is None else _bounded(patch.image - behind, off, clipped)
     counted = off if is_bound is None or is_bound.all() else off[~is_bound]
-    noise = max(1.48 * float(np.partition(counted, counted.size // 2, axis=None)[counted.size // 2]), LEAST_NOISE)
+    noise = max(1.48 * _median(counted), LEAST_NOISE)
     unknown = None
     if is_bound is not None:
         low, high = seen.ends()
@@ -139,7 +139,7 @@ def difference(
 
 
 def _lift(off: Image, size_px: float) -> Image:
-    """How much brighter the ground is than it was, about each pixel; `off` (S, S): picture less ground. (24.31)
+    """Return how much brighter the ground is than it was, about each pixel; `off` (S, S): picture less ground. (24.31)
 
     Gusts through crops, and clouds, change it by areas larger than a thing. Nothing where no more varies than noise.
     """

@@ -1,4 +1,4 @@
-"""Where a person would be found: as people who are put into the picture one at a time are found there; and named."""
+"""The places where a person would be found, and named: as people who are put into the picture one at a time are."""
 
 import cv2
 import numpy as np
