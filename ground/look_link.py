@@ -9,7 +9,17 @@ import zenoh
 
 from contract.errors import LinkError
 from contract.link_config import Tls
-from contract.look import ANSWERED_WITHIN_S, AskLook, ConfirmLook, EndLook, LookRequest, Offer, look_key, parameters_of
+from contract.look import (
+    ANSWERED_WITHIN_S,
+    AskCircle,
+    AskLook,
+    ConfirmLook,
+    EndLook,
+    LookRequest,
+    Offer,
+    look_key,
+    parameters_of,
+)
 from ground.certificate_name import common_name
 from ground.client import only_vehicle, open_link
 from ground.put_request import put_request
@@ -41,12 +51,12 @@ class LookLink:
             self.close()
             raise
 
-    def ask(self, request: AskLook) -> Offer:
-        """The place that the aircraft would have its camera look at."""
+    def ask(self, request: AskLook | AskCircle) -> Offer:
+        """The place that the aircraft would have its camera look at, or would circle about."""
         return Offer.of(self.put(request))
 
     def confirm(self, offer: Offer, waited_s: float) -> dict[str, Any]:
-        """Have it look there, `waited_s` after the offer came here. The autopilot has accepted it."""
+        """Have it done, `waited_s` after the offer came here. The autopilot has accepted it."""
         return self.put(ConfirmLook(offer.ticket, waited_s))
 
     def end(self) -> dict[str, Any]:
@@ -59,7 +69,7 @@ class LookLink:
         selector = f"{self._key}?{parameters_of(request)}"
         answer = put_request(self._session, selector, timeout_s=ANSWERED_WITHIN_S)
         if answer is None and isinstance(request, ConfirmLook):
-            raise LinkError(f"aircraft {self.vehicle!r} has not answered: the camera may have turned or not")
+            raise LinkError(f"aircraft {self.vehicle!r} has not answered: it may have been done or not")
         if answer is None:
             raise LinkError(
                 f"aircraft {self.vehicle!r} does not answer {self.name!r}: is that name in its link.pointers?"

@@ -1,4 +1,5 @@
-// Having an aircraft's camera look at what was clicked: its own place and height are confirmed before anything moves.
+// Having an aircraft's camera look at what was clicked, and the aircraft circle about it: each time its own place and
+// height are confirmed before anything moves.
 
 import { api, Refused } from "./api.js";
 import { byId, make, setText } from "./dom.js";
@@ -20,7 +21,7 @@ export class Looking {
       const offer = this.offer;
       if (offer === null) return;
       this.offer = null;
-      this.show("Not confirmed: the camera was not turned.", "note");
+      this.show("Not confirmed: nothing was sent.", "note");
       this.clicked(offer.body);
     });
   }
@@ -45,14 +46,29 @@ export class Looking {
   }
 
   private async ask(body: ClickBody): Promise<void> {
-    await this.asking(`Asking ${body.vehicle} for the place ...`, body, async () => {
-      const offer = await api.look(body);
-      this.offer = { of: offer, at: performance.now(), body };
-      setText(byId("look-title"), `Have the camera of ${offer.vehicle} look there?`);
-      setText(byId("look-place"), placeOf(offer));
-      setText(byId("look-height"), `${offer.height_amsl_m.toFixed(0)} m above sea level, ${within(offer.ce90_m)}`);
-      this.dialog.showModal();
-    });
+    await this.asking(`Asking ${body.vehicle} for the place ...`, body, async () => this.propose(await api.look(body), body));
+  }
+
+  /** What the camera looks at the aircraft may circle about. */
+  private offerCircle({ vehicle, ticket }: LookOffer, body: ClickBody): void {
+    const ask = (): Promise<void> => this.asking(`Asking ${vehicle} for the circle ...`, body, async () => this.propose(await api.lookCircle({ vehicle, ticket }), body));
+    byId("answer").append(make("button", { type: "button", class: "look-there", "data-testid": "circle-there", title: `have ${vehicle} circle about it`, click: () => void ask() }, "Circle there"));
+  }
+
+  /** What would be done is shown, to be confirmed. */
+  private propose(offer: LookOffer, body: ClickBody): void {
+    const { circle, height_amsl_m, ce90_m, vehicle } = offer;
+    this.offer = { of: offer, at: performance.now(), body };
+    setText(byId("look-title"), circle === null ? `Have the camera of ${vehicle} look there?` : `Have ${vehicle} circle there?`);
+    setText(byId("look-place"), placeOf(offer));
+    setText(byId("look-height"), circle === null
+      ? `${height_amsl_m.toFixed(0)} m above sea level, ${within(ce90_m)}`
+      : `at ${circle.height_amsl_m.toFixed(0)} m above sea level, ${circle.above_place_m.toFixed(0)} m above the place; radius ${circle.radius_m.toFixed(0)} m`);
+    setText(byId("look-note"), circle === null
+      ? "It keeps looking there until it is sent elsewhere. Where no gimbal can, the autopilot may turn the aircraft itself."
+      : "The aircraft leaves its mission, until the pilot or a ground station sends it elsewhere. Hills, masts and other aircraft round the circle are not known here.");
+    setText(this.go, circle === null ? "Turn the camera" : "Fly the circle");
+    this.dialog.showModal();
   }
 
   private async confirm(): Promise<void> {
@@ -60,10 +76,14 @@ export class Looking {
     if (offer === null) return;
     this.offer = null;
     this.dialog.close();
-    const { vehicle, ticket, height_amsl_m } = offer.of;
+    const { vehicle, ticket, height_amsl_m, circle } = offer.of;
     await this.asking("Asking the autopilot ...", offer.body, async () => {
-      await api.lookConfirm({ vehicle, ticket, waited_s: (performance.now() - offer.at) / 1000 });
-      this.show(`Accepted by the autopilot: the camera of ${vehicle} looks at ${placeOf(offer.of)}, ${height_amsl_m.toFixed(0)} m.`, "ok");
+      const done = await api.lookConfirm({ vehicle, ticket, waited_s: (performance.now() - offer.at) / 1000 });
+      const what = circle === null
+        ? `the camera of ${vehicle} looks at ${placeOf(offer.of)}, ${height_amsl_m.toFixed(0)} m`
+        : `${vehicle} circles about ${placeOf(offer.of)} at ${circle.height_amsl_m.toFixed(0)} m`;
+      this.show(`Accepted by the autopilot: ${what}.`, "ok");
+      if (done.may_circle === true) this.offerCircle(offer.of, offer.body);
     });
   }
 
@@ -75,7 +95,7 @@ export class Looking {
     try {
       await what();
     } catch (error) {
-      this.show(`The camera was not turned: ${error instanceof Refused ? error.message : String(error)}`, "refused");
+      this.show(`Not done: ${error instanceof Refused ? error.message : String(error)}`, "refused");
       if (body !== null) this.clicked(body);
     } finally {
       this.isAsking = false;

@@ -86,7 +86,8 @@ export interface Tiles {
 export interface ServerStatus { role: "operator" | "viewer" | "pointer"; source: string; is_live: boolean; measures: boolean; damage: string[]; sharing: string; tak: string; tiles: Tiles | null; vehicles: VehicleState[] }
 
 /** The place that an aircraft would have its camera look at. */
-export interface LookOffer { vehicle: string; ticket: string; lat_deg: number; lon_deg: number; height_amsl_m: number; ce90_m: number }
+/** `circle`: what the aircraft would fly about the place; null of an offer that turns the camera alone. */
+export interface LookOffer { vehicle: string; ticket: string; lat_deg: number; lon_deg: number; height_amsl_m: number; ce90_m: number; circle: { radius_m: number; height_amsl_m: number; above_place_m: number } | null }
 
 export interface ClickAnswer {
   status: string; advice: string; reason?: string; age_s: number | null; method?: string;

@@ -1,5 +1,7 @@
 """`pc-ground look`: an aircraft's camera is sent to look at what is at a pixel, once that place is confirmed.
 
+With --circle the aircraft is then sent to circle about it, once place and height are confirmed again.
+
 Exit status: 0 the autopilot has accepted it; 3 refused with the reason, or not confirmed; 2 wrong usage.
 """
 
@@ -14,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from contract.answer import DEGREES, Fix, decimals
 from contract.circular_error import ce90_m
-from contract.look import AskLook, Offer
+from contract.look import AskCircle, AskLook, Offer
 from contract.topics import DEFAULT_ENDPOINT
 from ground.commands import ANSWERED, REFUSED
 from ground.commands.sources import Clicker, LinkSource
@@ -29,6 +31,7 @@ EXAMPLES = """\
 examples:
   pc-ground look 480 120 --credentials keys/anna                the newest picture of the aircraft on this machine
   pc-ground look 480 120 --frame 1234 --connect tls/10.0.0.7:7447 --credentials keys/anna
+  pc-ground look 480 120 --circle --credentials keys/anna       and have the aircraft circle about it
   pc-ground look --ahead --credentials keys/anna                look there no longer
 
 The place is printed as the aircraft has found it, and asked for once more before anything moves. The aircraft must name
@@ -43,6 +46,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--frame", metavar="N", type=frame_number, help="the picture that was clicked (default: newest)"
     )
+    parser.add_argument(
+        "--circle", action="store_true", help="then have the aircraft circle about the place, once that is confirmed"
+    )
     parser.add_argument("--ahead", action="store_true", help="look there no longer; without U and V")
     parser.add_argument("--yes", action="store_true", help="do not ask for the place to be confirmed")
     parser.add_argument("--vehicle", metavar="NAME", help="the aircraft, where there are several")
@@ -54,8 +60,10 @@ def run(args: argparse.Namespace) -> int:
     """Ask, have it confirmed, and print what the autopilot made of it. Raises PointclickError."""
     if (args.u is None) != (args.v is None) or (args.u is None) != args.ahead:
         raise UsageError("look needs U and V of a place, or --ahead to look there no longer")
-    if args.ahead and (args.frame is not None or args.yes):
-        raise UsageError("--frame and --yes go with U and V")
+    if args.ahead and (args.frame is not None or args.yes or args.circle):
+        raise UsageError("--frame, --yes and --circle go with U and V")
+    if args.circle and args.yes:
+        raise UsageError("a circle is confirmed by a person: --circle goes without --yes")
     if args.u is not None and not args.yes and not (sys.stdin is not None and sys.stdin.isatty()):
         raise UsageError("no one is there to confirm the place: --yes does without")
     from ground.look_link import LookLink  # noqa: PLC0415  zenoh is loaded only where there is a link
@@ -87,28 +95,44 @@ def _look(link: LookLink, args: argparse.Namespace) -> int:
         return REFUSED
     radius_m = ce90_m(answer.covariance_enu_m2[:2, :2])
     session = locator.feature_set.session
-    offer = link.ask(AskLook(session, answer.frame, args.u, args.v, answer.lat_deg, answer.lon_deg, radius_m))
+    asked = AskLook(session, answer.frame, args.u, args.v, answer.lat_deg, answer.lon_deg, radius_m)
+    ticket = _confirmed(link, asked, "Have the camera look there?", is_asked=not args.yes)
+    if ticket and args.circle:
+        ticket = _confirmed(link, AskCircle(ticket), "Have the aircraft circle there?", is_asked=True)
+    return ANSWERED if ticket else REFUSED
+
+
+def _confirmed(link: LookLink, asked: AskLook | AskCircle, question: str, *, is_asked: bool) -> str:
+    """Have an offer printed, confirmed and done. Returns its ticket; empty where it was not confirmed."""
+    offer = link.ask(asked)
     came_s = time.monotonic()
     print(f"{link.vehicle}: {in_words(offer)}", flush=True)
-    if not args.yes and not _is_confirmed():
+    if is_asked and not _is_yes(question):
         print("not confirmed: nothing was sent", file=sys.stderr)
-        return REFUSED
+        return ""
     link.confirm(offer, time.monotonic() - came_s)
     print(f"{link.vehicle}: accepted by the autopilot", flush=True)
-    return ANSWERED
+    return offer.ticket
 
 
 def in_words(offer: Offer) -> str:
     """The place that is to be confirmed, with as many digits as its radius gives meaning to."""
     digits = decimals(*DEGREES, offer.ce90_m)
+    circle = offer.circle
+    if circle is not None:
+        return (
+            f"circle about {offer.lat_deg:.{digits}f} {offer.lon_deg:.{digits}f}, {circle.height_amsl_m:.0f} m above "
+            f"sea level, {circle.above_place_m:.0f} m above the place, radius {circle.radius_m:.0f} m "
+            f"(90 % within {offer.ce90_m:.1f} m)"
+        )
     return (
         f"look at {offer.lat_deg:.{digits}f} {offer.lon_deg:.{digits}f}, {offer.height_amsl_m:.0f} m above sea level "
         f"(90 % within {offer.ce90_m:.1f} m; picture {offer.age_s:.1f} s old)"
     )
 
 
-def _is_confirmed() -> bool:
+def _is_yes(question: str) -> bool:
     try:
-        return input("Have the camera look there? [y/N] ").strip().lower() in ("y", "yes")
+        return input(f"{question} [y/N] ").strip().lower() in ("y", "yes")
     except EOFError:
         return False

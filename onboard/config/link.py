@@ -43,10 +43,16 @@ class Link(Section):
 
 
 class Look(Section):
-    """Limits of what the camera may be sent to look at by `link.pointers` (docs/look-there.md)."""
+    """Limits of what `link.pointers` may have the camera look at, and the aircraft circle (docs/look-there.md)."""
 
     max_radius_m: float = quantity(25.0, 0.1, 1000.0, "m", "a place whose 90 % radius is larger is refused")
     max_age_s: float = quantity(60.0, 1.0, 600.0, "s", "a click on a picture that is older is refused")
+    circle_radius_m: float | None = quantity(
+        None, 20.0, 2000.0, "m", "the radius at which `link.pointers` may have the aircraft circle; unset: no one may"
+    )
+    circle_clearance_m: float = quantity(
+        60.0, 10.0, 2000.0, "m", "a circle that is flown less than this above the clicked place is refused"
+    )
 
 
 def check_pointers(link: Link) -> None:

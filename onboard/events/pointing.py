@@ -1,4 +1,4 @@
-"""The protocol of the one thing that we ever have the autopilot do: look at a place, or look there no longer."""
+"""The protocol of all that we ever have an autopilot do: look at a place, look there no longer, circle about it."""
 
 from __future__ import annotations
 
@@ -8,22 +8,54 @@ from typing import Protocol
 ACCEPTED = "accepted"
 NO_AUTOPILOT = "no_autopilot"  # nothing was sent
 NOT_ACKNOWLEDGED = "not_acknowledged"  # it was sent, and may have been done
+UNSUPPORTED = "unsupported"  # the autopilot's own word; or nothing was sent, to a vehicle of a kind that cannot do it
 
 
 @dataclass(frozen=True)
-class Target:
-    """A place to look at: degrees, metres above mean sea level."""
+class LookAt:
+    """The camera looks at a place: degrees, metres above mean sea level."""
 
     lat_deg: float
     lon_deg: float
     height_amsl_m: float
 
+    def __str__(self) -> str:
+        return f"at {self.lat_deg:.5f} {self.lon_deg:.5f}, {self.height_amsl_m:.0f} m"
+
+
+@dataclass(frozen=True)
+class LookAhead:
+    """The camera looks at a place no longer."""
+
+    def __str__(self) -> str:
+        return "ahead"
+
+
+@dataclass(frozen=True)
+class CircleAbout:
+    """The aircraft flies a circle about a place, clockwise: degrees; its height above mean sea level and radius, m."""
+
+    lat_deg: float
+    lon_deg: float
+    height_amsl_m: float
+    radius_m: float
+
+    def __str__(self) -> str:
+        place = f"{self.lat_deg:.5f} {self.lon_deg:.5f}"
+        return f"circling {place} at {self.height_amsl_m:.0f} m, radius {self.radius_m:.0f} m"
+
+
+Order = LookAt | LookAhead | CircleAbout
+
 
 class PointingEnd(Protocol):
     """Our end of an autopilot that may be commanded."""
 
-    def point(self, target: Target | None) -> str:
-        """Have it look at a place, or with None no longer. Waits seconds for what comes of it, in a word: ACCEPTED,
-        NO_AUTOPILOT, NOT_ACKNOWLEDGED, or the autopilot's own reason to refuse, as in MAVLink's MAV_RESULT. One at a
-        time; from any thread but the telemetry's.
+    def command(self, order: Order) -> str:
+        """Have an order obeyed. Waits seconds for what comes of it, in a word: ACCEPTED, NO_AUTOPILOT,
+        NOT_ACKNOWLEDGED, or the autopilot's own reason to refuse, as in MAVLink's MAV_RESULT. One at a time; from any
+        thread but the telemetry's.
         """
+
+    def height_amsl_m(self) -> float | None:
+        """The aircraft's height above mean sea level (m) as the autopilot itself counts it now; None where unknown."""

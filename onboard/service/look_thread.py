@@ -1,5 +1,7 @@
 """The thread that answers who asks to have the camera look at a place: an offer first, and the command once confirmed.
 
+Where the camera looks the aircraft may be sent to circle, by a second offer that is confirmed like the first.
+
 The place is found here again, by the set of the picture that was clicked: what a person asks for is compared with that,
 and never sent itself. A question only joins a short queue, and what waits too long there is refused: a command comes
 soon or not at all.
@@ -14,20 +16,29 @@ import secrets
 import time
 from collections import OrderedDict, deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from contract.answer import EXPLANATIONS, Fix
 from contract.circular_error import ce90_m
 from contract.errors import InputError
 from contract.geodesy import metres_per_degree
 from contract.locate import Locator
-from contract.look import LATE_S, OFFER_S, AskLook, ConfirmLook, EndLook, Offer, read_request
+from contract.look import LATE_S, OFFER_S, AskCircle, AskLook, Circle, ConfirmLook, EndLook, Offer, read_request
 from contract.supervised_thread import SupervisedThread, WokenWork
 from contract.track import refused
 from contract.vehicle_status import MAX_LOOK
 from contract.wire.codec import decode
 from onboard.config.link import Look
-from onboard.events.pointing import ACCEPTED, NO_AUTOPILOT, NOT_ACKNOWLEDGED, PointingEnd, Target
+from onboard.events.pointing import (
+    ACCEPTED,
+    NO_AUTOPILOT,
+    NOT_ACKNOWLEDGED,
+    CircleAbout,
+    LookAhead,
+    LookAt,
+    Order,
+    PointingEnd,
+)
 
 MAX_ASKED = 4  # questions that wait for this thread
 MAX_OFFERS = 16
@@ -35,6 +46,7 @@ BETWEEN_S = 2.0  # commands to the autopilot, whoever asks
 REST = 1.0  # of the time that a question took, in which it leaves the processor to others
 MOST_REST_S = 0.1
 IDLE_S = 0.5
+SIDE_95 = 1.645  # standard deviations, one-sided 95 %
 
 Done = Callable[[bytes, bool], object]  # takes the answer, and whether it is a refusal
 SetOf = Callable[[int], "tuple[bytes, float | None] | None"]
@@ -43,7 +55,7 @@ log = logging.getLogger("pointclick")
 
 UNSENT = {
     NO_AUTOPILOT: "no autopilot is received: nothing was sent",
-    NOT_ACKNOWLEDGED: "the autopilot has not acknowledged it: the camera may have turned or not, look at the picture",
+    NOT_ACKNOWLEDGED: "the autopilot has not acknowledged it: it may have been done or not, look at the picture",
 }
 
 
@@ -68,6 +80,7 @@ class _Offered:
     offer: Offer
     who: str
     at_s: float
+    height_sigma_m: float  # of the place
     outcome: tuple[bytes, bool] | None = None  # once it was confirmed: asked again, the same answer
 
 
@@ -86,6 +99,7 @@ class LookThread(WokenWork):
         self.newest = ""
         self._asked: deque[_Asked] = deque()
         self._offers: OrderedDict[str, _Offered] = OrderedDict()  # by their tickets
+        self._looked_at: _Offered | None = None  # where the camera was sent last
         self._commanded_s = -BETWEEN_S
 
     def ask(self, who: str, parameters: str, done: Done) -> None:
@@ -129,6 +143,8 @@ class LookThread(WokenWork):
             raise _Refused("bad_request", str(error)) from error
         if isinstance(request, AskLook):
             return self._offer(asked.who, request).to_json(), False
+        if isinstance(request, AskCircle):
+            return self._offer_circle(asked.who, request).to_json(), False
         if isinstance(request, EndLook):
             return self._command(asked.who, None)
         return self._confirm(asked.who, request)
@@ -154,12 +170,44 @@ class LookThread(WokenWork):
         apart_m = _apart_m((answer.lat_deg, answer.lon_deg), (asked.lat_deg, asked.lon_deg))
         if not apart_m <= radius_m + min(asked.radius_m, self._limits.max_radius_m):
             raise _Refused("contradiction", f"the aircraft's own answer lies {apart_m:.0f} m away: click again")
-        ticket = secrets.token_hex(8)
-        offer = Offer(ticket, answer.lat_deg, answer.lon_deg, answer.height_amsl_m, radius_m, age_s)
-        self._offers[ticket] = _Offered(offer, who, self._monotonic_s())
+        offer = Offer(secrets.token_hex(8), answer.lat_deg, answer.lon_deg, answer.height_amsl_m, radius_m, age_s)
+        return self._keep(_Offered(offer, who, self._monotonic_s(), math.sqrt(answer.covariance_enu_m2[2, 2])))
+
+    def _offer_circle(self, who: str, request: AskCircle) -> Offer:
+        """The offer to circle about the place that the camera was sent to look at last, as high as the aircraft is."""
+        limits, now_s = self._limits, self._monotonic_s()
+        if limits.circle_radius_m is None:
+            raise _Refused("not_allowed", "no one may have this aircraft circle: its look.circle_radius_m is not set")
+        looked_at = self._looked_at
+        if looked_at is None or (looked_at.who, looked_at.offer.ticket) != (who, request.ticket):
+            raise _Refused(
+                "not_looking", "you have not sent the camera there, or it was sent elsewhere since: click again"
+            )
+        place = looked_at.offer
+        age_s = place.age_s + now_s - looked_at.at_s
+        if age_s > limits.max_age_s:
+            raise _Refused(
+                "stale", f"that picture is {age_s:.0f} s old: click on one of the last {limits.max_age_s:.0f} s"
+            )
+        height_m = self._autopilot.height_amsl_m()
+        if height_m is None:
+            raise _Refused("no_height", "the autopilot does not send its height above mean sea level")
+        above_m = height_m - place.height_amsl_m
+        if not above_m - SIDE_95 * looked_at.height_sigma_m >= limits.circle_clearance_m:
+            limit = f"look.circle_clearance_m = {limits.circle_clearance_m:g}"
+            known = f"+-{SIDE_95 * looked_at.height_sigma_m:.0f} m"
+            raise _Refused(
+                "too_low", f"the aircraft is {above_m:.0f} m above the place ({known}), and {limit}: climb first"
+            )
+        circle = Circle(limits.circle_radius_m, height_m, above_m)
+        offer = replace(place, ticket=secrets.token_hex(8), age_s=age_s, circle=circle)
+        return self._keep(replace(looked_at, offer=offer, at_s=now_s, outcome=None))
+
+    def _keep(self, offered: _Offered) -> Offer:
+        self._offers[offered.offer.ticket] = offered
         while len(self._offers) > MAX_OFFERS:
             self._offers.popitem(last=False)
-        return offer
+        return offered.offer
 
     def _confirm(self, who: str, request: ConfirmLook) -> tuple[bytes, bool]:
         offered = self._offers.get(request.ticket)
@@ -174,30 +222,42 @@ class LookThread(WokenWork):
             raise _Refused(
                 "late", f"offer and confirmation were {since_s - request.waited_s:.0f} s on their way: click again"
             )
-        offered.outcome = self._command(who, offered.offer)
+        offered.outcome = self._command(who, offered)
         return offered.outcome
 
-    def _command(self, who: str, offer: Offer | None) -> tuple[bytes, bool]:
+    def _command(self, who: str, offered: _Offered | None) -> tuple[bytes, bool]:
         """Have the autopilot sent a command; what became of it is the answer, is logged and shown to everybody."""
         now_s = self._monotonic_s()
         if now_s - self._commanded_s < BETWEEN_S:
-            raise _Refused("busy", f"the camera was sent elsewhere less than {BETWEEN_S:g} s ago: ask again")
+            raise _Refused("busy", f"the last command is less than {BETWEEN_S:g} s old: ask again")
         self._commanded_s = now_s
-        target = None if offer is None else Target(offer.lat_deg, offer.lon_deg, offer.height_amsl_m)
-        word = self._autopilot.point(target)
-        where = (
-            "ahead" if target is None else f"at {target.lat_deg:.5f} {target.lon_deg:.5f}, {target.height_amsl_m:.0f} m"
-        )
+        offer = None if offered is None else offered.offer
+        order = _order_of(offer)
+        what = "has the aircraft" if isinstance(order, CircleAbout) else "has the camera look"
+        word = self._autopilot.command(order)
         radius = "" if offer is None else f" (CE90 {offer.ce90_m:.1f} m)"
-        log.info("look: %s has the camera look %s%s: %s", who, where, radius, word)
+        log.info("look: %s %s %s%s: %s", who, what, order, radius, word)
         if word != NO_AUTOPILOT:
-            self.newest = f"{who}: {where}: {word}"[:MAX_LOOK]
+            self.newest = f"{who}: {order}: {word}"[:MAX_LOOK]
             for notify in self.notified:
-                notify(f"{who} has the camera look {where}" + ("" if word == ACCEPTED else f": {word}"))
-        if word == ACCEPTED:
-            content = {"result": word} | ({} if target is None else vars(target))
-            return json.dumps(content, separators=(",", ":")).encode(), False
-        return refused(word, UNSENT.get(word, f"the autopilot refuses: {word.replace('_', ' ')}")), True
+                notify(f"{who} {what} {order}" + ("" if word == ACCEPTED else f": {word}"))
+        if word != ACCEPTED:
+            return refused(word, UNSENT.get(word, f"the autopilot refuses: {word.replace('_', ' ')}")), True
+        content: dict[str, object] = {"result": word, **vars(order)}
+        if not isinstance(order, CircleAbout):
+            self._looked_at = offered
+        if isinstance(order, LookAt):
+            content["may_circle"] = self._limits.circle_radius_m is not None
+        return json.dumps(content, separators=(",", ":")).encode(), False
+
+
+def _order_of(offer: Offer | None) -> Order:
+    """Return what an offer, once confirmed, has the autopilot do; without one, to look ahead."""
+    if offer is None:
+        return LookAhead()
+    if offer.circle is None:
+        return LookAt(offer.lat_deg, offer.lon_deg, offer.height_amsl_m)
+    return CircleAbout(offer.lat_deg, offer.lon_deg, offer.circle.height_amsl_m, offer.circle.radius_m)
 
 
 def _apart_m(one: tuple[float, float], other: tuple[float, float]) -> float:

@@ -94,6 +94,7 @@ class FakeAutopilot:
         self.received: deque[Any] = deque(maxlen=KEEP)  # what the other end has sent
         self.counts: Counter[str] = Counter()
         self.roi: tuple[float, float, float] | None = None  # what it looks at: degrees, and metres above sea level
+        self.circle: tuple[float, float, float, float] | None = None  # likewise what it circles, and its radius, m
         self.roi_results: deque[int | None] = (
             deque()
         )  # of the next commands to look, instead of its own; None: no answer
@@ -373,7 +374,7 @@ class FakeAutopilot:
             elif name == "COMMAND_LONG" and message.target_system == self.system:
                 self._answer(message)
             elif name == "COMMAND_INT" and message.target_system == self.system:
-                self._look(message)
+                self._obey(message)
             elif name == "HEARTBEAT" and message.type == mavlink.MAV_TYPE_ONBOARD_CONTROLLER:
                 if message.get_srcSystem() == self.system:
                     self._mission_computer_ns = self._clock.now_ns()
@@ -385,18 +386,29 @@ class FakeAutopilot:
             elif name == "REQUEST_DATA_STREAM" and message.target_system == self.system:
                 self._rates.set_stream(message.req_stream_id, message.req_message_rate * message.start_stop)
 
-    def _look(self, command: Any) -> None:
-        """Look at a place in global coordinates, as both autopilots do; a height of another frame is not taken."""
+    def _obey(self, command: Any) -> None:
+        """Look at or circle about a place in global coordinates, as both do; a height of another frame is not taken.
+
+        A plane circles where it is sent to; of multicopters PX4's alone orbit.
+        """
+        obeyed = {mavlink.MAV_CMD_DO_SET_ROI_LOCATION, mavlink.MAV_CMD_DO_SET_ROI_NONE}
+        if self.flight.vehicle_type == mavlink.MAV_TYPE_FIXED_WING:
+            obeyed.add(mavlink.MAV_CMD_DO_REPOSITION)
+        elif self.style.autopilot == mavlink.MAV_AUTOPILOT_PX4:
+            obeyed.add(mavlink.MAV_CMD_DO_ORBIT)
         result: int | None = int(mavlink.MAV_RESULT_UNSUPPORTED)
-        places = {mavlink.MAV_CMD_DO_SET_ROI_LOCATION, mavlink.MAV_CMD_DO_SET_ROI_NONE}
         is_global = command.frame in (mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT)
-        if command.command in places and is_global and not self.style.mavlink1:
+        if command.command in obeyed and is_global and not self.style.mavlink1:
             result = int(mavlink.MAV_RESULT_ACCEPTED)
         if self.roi_results:
             result = self.roi_results.popleft()
         if result == mavlink.MAV_RESULT_ACCEPTED:
-            is_end = command.command == mavlink.MAV_CMD_DO_SET_ROI_NONE
-            self.roi = None if is_end else (command.x / 1e7, command.y / 1e7, command.z)
+            place = command.x / 1e7, command.y / 1e7, command.z
+            if command.command in (mavlink.MAV_CMD_DO_REPOSITION, mavlink.MAV_CMD_DO_ORBIT):
+                is_orbit = command.command == mavlink.MAV_CMD_DO_ORBIT
+                self.circle = (*place, command.param1 if is_orbit else command.param3)
+            else:
+                self.roi = None if command.command == mavlink.MAV_CMD_DO_SET_ROI_NONE else place
         if result is not None:
             self._acknowledge(command, result)
 

@@ -2,15 +2,29 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
+import math
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from contract.errors import InputError, LinkError
-from contract.look import AskLook, ConfirmLook, EndLook, LookRequest, Offer, look_key, parameters_of, read_request
+from contract.look import (
+    AskCircle,
+    AskLook,
+    Circle,
+    ConfirmLook,
+    EndLook,
+    LookRequest,
+    Offer,
+    look_key,
+    parameters_of,
+    read_request,
+)
 
+TICKETS = st.text("0123456789abcdef", min_size=1, max_size=32)
 WHOLE = st.integers(0, 2**32 - 1)
 REQUESTS = st.one_of(
     st.builds(
@@ -23,8 +37,9 @@ REQUESTS = st.one_of(
         st.floats(-180.0, 180.0),
         st.floats(0.0, 1e5),
     ),
-    st.builds(ConfirmLook, st.text("0123456789abcdef", min_size=1, max_size=32), st.floats(0.0, 30.0)),
+    st.builds(ConfirmLook, TICKETS, st.floats(0.0, 30.0)),
     st.just(EndLook()),
+    st.builds(AskCircle, TICKETS),
 )
 
 
@@ -38,6 +53,8 @@ def test_a_request_comes_back_as_it_was(request_: LookRequest) -> None:
         assert abs(back.lat_deg - request_.lat_deg) < 1e-9 and abs(back.lon_deg - request_.lon_deg) < 1e-9
     elif isinstance(request_, ConfirmLook) and isinstance(back, ConfirmLook):
         assert back.ticket == request_.ticket and abs(back.waited_s - request_.waited_s) <= 0.0051
+    else:
+        assert back == request_
 
 
 GOOD = "session=1;frame=2;u=3.0;v=4.0;lat=47.0;lon=8.0;radius=2.0"
@@ -50,6 +67,8 @@ GOOD = "session=1;frame=2;u=3.0;v=4.0;lat=47.0;lon=8.0;radius=2.0"
         ("end=2", "is asked for with"),
         ("end=1;end=1", "given twice"),
         ("ticket=ab", "is asked for with"),
+        ("circle=a/b", "circle: not the ticket"),
+        ("circle=ab;waited=1", "is asked for with"),
         ("ticket=a/b;waited=1", "ticket"),
         ("ticket=;waited=1", "ticket"),
         ("ticket=ab;waited=nan", "waited"),
@@ -88,6 +107,12 @@ def test_an_offer_comes_back_to_a_decimetre_and_what_is_none_is_refused() -> Non
     for key, value in (("lat_deg", None), ("lon_deg", "8"), ("height_amsl_m", True), ("ticket", 3), ("age_s", 1e999)):
         with pytest.raises(LinkError, match="cannot be read"):
             Offer.of(content | {key: value})
+    about = dataclasses.replace(offer, circle=Circle(120.0, 512.3, 100.0))
+    content = json.loads(about.to_json())
+    assert Offer.of(content) == about
+    for wrong in (3, {}, content["circle"] | {"radius_m": None}, content["circle"] | {"height_amsl_m": math.nan}):
+        with pytest.raises(LinkError, match="cannot be read"):
+            Offer.of(content | {"circle": wrong})
 
 
 def test_a_name_opens_one_key_and_no_wildcard_is_a_name() -> None:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import threading
 from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import cv2
 import numpy as np
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 from contract.errors import LinkError
 from contract.feature_set import FeatureSet, Status
-from contract.look import AskLook, EndLook, LookRequest, Offer
+from contract.look import AskCircle, AskLook, Circle, ConfirmLook, EndLook, LookRequest, Offer
 from contract.track import MOST_TRACKS, StartTrack, StopTrack, TrackRequest
 from contract.vehicle_status import VehicleStatus
 from ground.unmeasured import NOT_TRIED
@@ -87,6 +88,7 @@ class FlyingSource:
         self.why_unfollowed = self.why_unlooked = ""
         self.looked: list[LookRequest] = []
         self.look_refusal = ""  # of the next confirmation
+        self.may_circle = False
         self.look_words = ""  # what the aircraft reports of who had it look where
         self.heat = ""  # what it reports of a second camera
         self.measure: Callable[[FeatureSet, tuple[float, float]], FeatureSet] = not_measured
@@ -170,16 +172,20 @@ class FlyingSource:
         return self.why_unlooked
 
     def look(self, vehicle: str, request: LookRequest) -> dict[str, Any]:
-        """As an aircraft that finds the place where it was asked for, 400 m above the sea."""
+        """As an aircraft 520 m above the sea that finds the place where it was asked for, at 400 m."""
         self.looked.append(request)
         if isinstance(request, AskLook):
             offer = Offer("0123456789abcdef", request.lat_deg, request.lon_deg, 400.0, request.radius_m, 1.0)
-            return {**vars(offer)}
+            return cast(dict[str, Any], json.loads(offer.to_json()))
+        if isinstance(request, AskCircle):
+            offer = Offer("fedcba9876543210", 47.0, 8.0, 400.0, 3.0, 2.0, Circle(120.0, 520.0, 120.0))
+            return cast(dict[str, Any], json.loads(offer.to_json()))
         if self.look_refusal:
             raise LinkError(self.look_refusal)
-        where = "ahead" if isinstance(request, EndLook) else "at 47.00000 8.00000, 400 m"
-        self.look_words = f"anna: {where}: accepted"
-        return {"result": "accepted"}
+        is_circle = isinstance(request, ConfirmLook) and request.ticket.startswith("fedc")
+        at = "circling 47.00000 8.00000 at 520 m, radius 120 m" if is_circle else "at 47.00000 8.00000, 400 m"
+        self.look_words = f"anna: {'ahead' if isinstance(request, EndLook) else at}: accepted"
+        return {"result": "accepted"} | ({"may_circle": True} if self.may_circle and not is_circle else {})
 
     def damage(self) -> list[str]:
         """None."""

@@ -96,7 +96,7 @@ class Turning(RecordedSource):
         assert found is not None
         fix = Locator(found).locate((request.u_px, request.v_px))
         assert isinstance(fix, Fix) and fix.height_amsl_m is not None
-        return {**vars(Offer("ab", fix.lat_deg, fix.lon_deg, fix.height_amsl_m, request.radius_m, 0.4))}
+        return vars(Offer("ab", fix.lat_deg, fix.lon_deg, fix.height_amsl_m, request.radius_m, 0.4))
 
 
 def before_the_camera_turns(browser: Any, simulated: Simulated, folder: Path) -> None:

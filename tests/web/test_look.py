@@ -18,7 +18,7 @@ from contract.answer import Fix
 from contract.errors import LinkError
 from contract.link_config import Rights, Tls
 from contract.locate import Locator
-from contract.look import AskLook, ConfirmLook, EndLook, Offer
+from contract.look import AskCircle, AskLook, ConfirmLook, EndLook, Offer
 from contract.topics import STATUS
 from contract.vehicle_status import VehicleStatus, encode_status
 from ground.__main__ import main
@@ -94,7 +94,9 @@ def test_a_click_without_an_answer_does_not_get_to_the_aircraft(tmp_path: Path) 
         assert refused.status_code == 422 and "outside" in refused.json()["detail"] and source.looked == []
 
 
-@pytest.mark.parametrize("path", ["/api/look", "/api/look/confirm", "/api/look/ahead", "/api/look/", "/api//look"])
+@pytest.mark.parametrize(
+    "path", ["/api/look", "/api/look/circle", "/api/look/confirm", "/api/look/ahead", "/api/look/", "/api//look"]
+)
 @pytest.mark.parametrize("role", ["operator", "viewer"])
 def test_no_other_role_has_a_camera_turned(tmp_path: Path, role: str, path: str) -> None:
     with api(tmp_path) as (client, source):
@@ -225,7 +227,7 @@ def test_the_place_is_confirmed_before_the_camera_turns_and_everybody_sees_it(
     assert page.locator("#look-title").inner_text() == "Have the camera of uav-1 look there?"
     # The button that does nothing has the focus: Enter by habit turns no camera.
     page.keyboard.press("Enter")
-    states(anna, "Not confirmed: the camera was not turned.")
+    states(anna, "Not confirmed: nothing was sent.")
     assert len(source.looked) == 1
     anna.by("look-there").click()  # it is still offered
     page.wait_for_selector("#look-dialog[open]")
@@ -242,6 +244,37 @@ def test_the_place_is_confirmed_before_the_camera_turns_and_everybody_sees_it(
     anna.by("look-ahead").wait_for(state="detached")  # nothing is left to be ended
 
 
+def test_the_aircraft_circles_only_once_place_height_and_radius_are_confirmed_as_well(
+    flying: Callable[..., tuple[Flight, Operator]],
+) -> None:
+    flight, anna = flying("pointer")
+    page, source = anna.page, flight.source
+    source.may_circle = True
+    anna.click(400.0, 300.0)
+    assert anna.by("circle-there").count() == 0
+    anna.by("look-there").click()
+    page.wait_for_selector("#look-dialog[open]")
+    anna.by("look-go").click()
+    anna.by("circle-there").click()  # as soon as the autopilot has accepted the look
+    page.wait_for_selector("#look-dialog[open]")
+    assert source.looked[-1] == AskCircle("0123456789abcdef") and len(source.looked) == 3
+    assert page.locator("#look-title").inner_text() == "Have uav-1 circle there?"
+    words = "at 520 m above sea level, 120 m above the place; radius 120 m"
+    assert anna.by("look-height").inner_text() == words and anna.by("look-go").inner_text() == "Fly the circle"
+    page.keyboard.press("Enter")
+    states(anna, "Not confirmed: nothing was sent.")
+    assert len(source.looked) == 3
+    anna.by("look-there").click()
+    page.wait_for_selector("#look-dialog[open]")
+    assert anna.by("look-go").inner_text() == "Turn the camera"
+    anna.by("look-go").click()
+    anna.by("circle-there").click()
+    page.wait_for_selector("#look-dialog[open]")
+    anna.by("look-go").click()
+    states(anna, "Accepted by the autopilot: uav-1 circles about 47.0")
+    assert isinstance(source.looked[-1], ConfirmLook) and anna.by("circle-there").count() == 0
+
+
 def test_a_refusal_is_stated_with_its_reason(flying: Callable[..., tuple[Flight, Operator]]) -> None:
     flight, anna = flying("pointer")
     flight.source.look_refusal = "late: offer and confirmation were 9 s on their way: click again"
@@ -249,7 +282,7 @@ def test_a_refusal_is_stated_with_its_reason(flying: Callable[..., tuple[Flight,
     anna.by("look-there").click()
     anna.page.wait_for_selector("#look-dialog[open]")
     anna.by("look-go").click()
-    states(anna, "The camera was not turned: late: offer and confirmation were 9 s on their way")
+    states(anna, "Not done: late: offer and confirmation were 9 s on their way")
     assert anna.by("answer").get_attribute("data-kind") == "refused"
 
 

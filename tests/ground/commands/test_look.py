@@ -6,7 +6,7 @@ import dataclasses
 import threading
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
@@ -21,7 +21,7 @@ from contract.wire.codec import decode
 from ground.__main__ import main
 from ground.commands.look import in_words
 from onboard.config.link import Look
-from onboard.events.pointing import ACCEPTED, Target
+from onboard.events.pointing import ACCEPTED, CircleAbout, LookAhead, LookAt, Order
 from onboard.link.certificates import make_credentials
 from onboard.link.publisher import Publisher, Rate
 from onboard.service.look_thread import LookThread
@@ -32,13 +32,16 @@ from tests.waiting import eventually
 
 @dataclass
 class Autopilot:
-    target: Target | None = None
+    order: Order = field(default_factory=LookAhead)
     asked: int = 0
     word: str = ACCEPTED
 
-    def point(self, target: Target | None) -> str:
-        self.target, self.asked = target, self.asked + 1
+    def command(self, order: Order) -> str:
+        self.order, self.asked = order, self.asked + 1
         return self.word
+
+    def height_amsl_m(self) -> float | None:
+        return 1200.0
 
 
 @dataclass(frozen=True)
@@ -56,7 +59,7 @@ def place(tmp_path: Path) -> Iterator[Place]:
     tls = Tls.in_folder(tmp_path / "uav-1")
     with (
         Publisher("uav-1", [endpoint], rate=Rate(1e6), tls=tls, rights=Rights(pointers=["anna"])) as flying,
-        LookThread(Look(max_radius_m=40.0), flying.set_of, autopilot) as looks,
+        LookThread(Look(max_radius_m=40.0, circle_radius_m=120.0), flying.set_of, autopilot) as looks,
     ):
         flying.have_look = looks.ask
         made = dataclasses.replace(plain_set(), capture_unix_ns=time.time_ns())
@@ -84,17 +87,40 @@ def test_a_click_is_confirmed_by_its_place_and_height_before_anything_moves(
     assert f"{place.fix.height_amsl_m:.0f} m above sea level (90 % within" in printed[-1]
     assert f"look at {place.fix.lat_deg:.5f} {place.fix.lon_deg:.5f}, " in printed[-1]
     assert capsys.readouterr().out == "uav-1: accepted by the autopilot\n"
-    target = place.autopilot.target
-    assert target is not None and abs(target.lat_deg - place.fix.lat_deg) < 1e-7
-    assert target.height_amsl_m == place.fix.height_amsl_m
+    order = place.autopilot.order
+    assert isinstance(order, LookAt) and abs(order.lat_deg - place.fix.lat_deg) < 1e-7
+    assert order.height_amsl_m == place.fix.height_amsl_m
 
 
 def test_a_program_confirms_beforehand_and_ends_it(place: Place, capsys: pytest.CaptureFixture[str]) -> None:
     command = ["look", "320", "240", "--frame", "77", "--yes", *place.options]
     assert eventually(lambda: main(command) == 0)
-    assert place.autopilot.target is not None
+    assert isinstance(place.autopilot.order, LookAt)
     assert eventually(lambda: main(["look", "--ahead", *place.options]) == 0)  # refused for two seconds: busy
-    assert place.autopilot.target is None and "looks ahead again" in capsys.readouterr().out
+    assert place.autopilot.order == LookAhead() and "looks ahead again" in capsys.readouterr().out
+
+
+def test_a_circle_is_confirmed_by_itself_with_the_height_that_is_flown(
+    place: Place, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    replies = {"Have the camera look there? [y/N] ": "y", "Have the aircraft circle there? [y/N] ": "n"}
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True, raising=False)
+    monkeypatch.setattr("builtins.input", lambda question: replies[question])
+    command = ["look", "320", "240", "--circle", *place.options]
+    assert eventually(lambda: main(command) == 3 and isinstance(place.autopilot.order, LookAt))
+    printed = capsys.readouterr()
+    above = f"1200 m above sea level, {1200.0 - (place.fix.height_amsl_m or 0.0):.0f} m above the place, radius 120 m"
+    assert above in printed.out and "not confirmed: nothing was sent" in printed.err
+    replies["Have the aircraft circle there? [y/N] "] = "y"
+
+    def circles() -> bool:  # refused for two seconds after the look
+        main(command)
+        return isinstance(place.autopilot.order, CircleAbout)
+
+    monkeypatch.setattr("ground.commands.look._is_yes", lambda question: time.sleep(2.1) or True)
+    assert eventually(circles)
+    assert isinstance(order := place.autopilot.order, CircleAbout) and order.height_amsl_m == 1200.0
+    assert main([*command, "--yes"]) == 2 and "--circle goes without --yes" in capsys.readouterr().err
 
 
 def test_a_refusal_is_a_line_and_exit_3(place: Place, capsys: pytest.CaptureFixture[str]) -> None:

@@ -16,10 +16,10 @@ import pytest
 from contract.answer import Fix
 from contract.feature_set import FeatureSet, HeightDatum, Status
 from contract.locate import Locator
-from contract.look import LATE_S, OFFER_S, AskLook, ConfirmLook, EndLook, Offer, parameters_of
+from contract.look import LATE_S, OFFER_S, AskCircle, AskLook, ConfirmLook, EndLook, LookRequest, Offer, parameters_of
 from contract.wire.codec import decode, encode
 from onboard.config.link import Look
-from onboard.events.pointing import ACCEPTED, NO_AUTOPILOT, NOT_ACKNOWLEDGED, Target
+from onboard.events.pointing import ACCEPTED, NO_AUTOPILOT, NOT_ACKNOWLEDGED, CircleAbout, LookAhead, LookAt, Order
 from onboard.service.look_thread import BETWEEN_S, LookThread
 from tests.contract.sets import plain_set
 
@@ -33,12 +33,16 @@ class Autopilot:
     """A `PointingEnd` that keeps what it is sent to look at."""
 
     def __init__(self) -> None:
-        self.targets: list[Target | None] = []
+        self.orders: list[Order] = []
         self.words: list[str] = []
+        self.height_m: float | None = 1000.0
 
-    def point(self, target: Target | None) -> str:
-        self.targets.append(target)
+    def command(self, order: Order) -> str:
+        self.orders.append(order)
         return self.words.pop(0) if self.words else ACCEPTED
+
+    def height_amsl_m(self) -> float | None:
+        return self.height_m
 
 
 class Aircraft:
@@ -58,7 +62,7 @@ class Aircraft:
         )
         self.thread.notified.append(self.pilot.append)
 
-    def ask(self, request: AskLook | ConfirmLook | EndLook | str, who: str = "anna") -> dict[str, Any]:
+    def ask(self, request: LookRequest | str, who: str = "anna") -> dict[str, Any]:
         answers: list[tuple[bytes, bool]] = []
         text = request if isinstance(request, str) else parameters_of(request)
         self.thread.ask(who, text, lambda payload, is_error: answers.append((payload, is_error)))
@@ -79,31 +83,102 @@ ASKED = AskLook(SET.session, SET.frame, *PIXEL, FIX.lat_deg, FIX.lon_deg, 5.0)
 def test_a_confirmed_click_has_the_camera_look_at_the_aircrafts_own_answer_above_sea_level() -> None:
     aircraft = Aircraft()
     offered = aircraft.ask(ASKED)
-    assert aircraft.autopilot.targets == []  # nothing before it is confirmed
+    assert aircraft.autopilot.orders == []  # nothing before it is confirmed
     offer = Offer.of(offered)
     assert abs(offer.lat_deg - FIX.lat_deg) < 1e-6 and abs(offer.lon_deg - FIX.lon_deg) < 1e-6
     done = aircraft.confirm(offered)
-    (target,) = aircraft.autopilot.targets
-    assert target is not None and done["result"] == "accepted"
-    assert (target.lat_deg, target.lon_deg) == (FIX.lat_deg, FIX.lon_deg)
-    assert FIX.height_ellipsoid_m is not None and target.height_amsl_m == FIX.height_amsl_m
-    assert target.height_amsl_m == pytest.approx(FIX.height_ellipsoid_m - SET.undulation_m, abs=0.01)
+    (order,) = aircraft.autopilot.orders
+    assert isinstance(order, LookAt) and done["result"] == "accepted"
+    assert (order.lat_deg, order.lon_deg) == (FIX.lat_deg, FIX.lon_deg)
+    assert FIX.height_ellipsoid_m is not None and order.height_amsl_m == FIX.height_amsl_m
+    assert order.height_amsl_m == pytest.approx(FIX.height_ellipsoid_m - SET.undulation_m, abs=0.01)
     where = f"at {FIX.lat_deg:.5f} {FIX.lon_deg:.5f}, {FIX.height_amsl_m:.0f} m"
     assert aircraft.thread.newest == f"anna: {where}: accepted"  # for everybody's eyes
     assert aircraft.pilot == [f"anna has the camera look {where}"]
 
 
+CIRCLES = Look(max_radius_m=30.0, circle_radius_m=120.0, circle_clearance_m=60.0)
+
+
+def looking(limits: Look = CIRCLES, height_m: float | None = 1000.0, age_s: float = 2.0) -> tuple[Aircraft, str]:
+    """An aircraft whose camera was sent to look at the click, and the ticket of that."""
+    aircraft = Aircraft(limits, age_s=age_s)
+    aircraft.autopilot.height_m = height_m
+    offered = aircraft.ask(ASKED)
+    assert aircraft.confirm(offered)["may_circle"] == (limits.circle_radius_m is not None)
+    aircraft.now_s += BETWEEN_S
+    return aircraft, offered["ticket"]
+
+
+def test_it_circles_about_what_the_camera_looks_at_only_once_place_and_height_are_confirmed_again() -> None:
+    aircraft, ticket = looking()
+    offered = aircraft.ask(AskCircle(ticket))
+    assert len(aircraft.autopilot.orders) == 1  # the look alone
+    circle, place = Offer.of(offered).circle, FIX.height_amsl_m
+    assert circle is not None and place is not None and offered["ticket"] != ticket
+    assert (circle.radius_m, circle.height_amsl_m) == (120.0, 1000.0)
+    assert circle.above_place_m == pytest.approx(1000.0 - place, abs=0.06)
+    done = aircraft.confirm(offered)
+    order = aircraft.autopilot.orders[-1]
+    assert order == CircleAbout(FIX.lat_deg, FIX.lon_deg, 1000.0, 120.0)
+    assert (done["result"], done["radius_m"]) == ("accepted", 120.0) and "may_circle" not in done
+    words = f"circling {FIX.lat_deg:.5f} {FIX.lon_deg:.5f} at 1000 m, radius 120 m"
+    assert (
+        aircraft.thread.newest == f"anna: {words}: accepted" and aircraft.pilot[-1] == f"anna has the aircraft {words}"
+    )
+
+
+def test_the_height_that_was_confirmed_is_flown_whatever_the_aircraft_has_done_since() -> None:
+    aircraft, ticket = looking()
+    offered = aircraft.ask(AskCircle(ticket))
+    aircraft.autopilot.height_m = 500.0
+    aircraft.confirm(offered)
+    assert isinstance(order := aircraft.autopilot.orders[-1], CircleAbout) and order.height_amsl_m == 1000.0
+
+
+SIGMA_M = math.sqrt(FIX.covariance_enu_m2[2, 2])
+LEAST_M = FIX.height_amsl_m + 60.0 + 1.645 * SIGMA_M
+
+
+@pytest.mark.parametrize(
+    ("height_m", "word"), [(LEAST_M + 0.1, ""), (LEAST_M - 0.1, "too_low"), (None, "no_height"), (math.nan, "too_low")]
+)
+def test_a_circle_lower_than_the_clearance_above_what_the_place_may_be_is_refused(
+    height_m: float | None, word: str
+) -> None:
+    aircraft, ticket = looking(height_m=height_m)
+    assert aircraft.ask(AskCircle(ticket)).get("status", "") == word and len(aircraft.autopilot.orders) == 1
+
+
+def test_no_circle_without_its_radius_a_look_before_or_for_another_and_none_of_old_pictures() -> None:
+    aircraft, ticket = looking(Look(max_radius_m=30.0))
+    assert aircraft.ask(AskCircle(ticket))["status"] == "not_allowed"
+    aircraft, ticket = looking()
+    for _ in range(20):  # asked again and again it is still known
+        assert "ticket" in aircraft.ask(AskCircle(ticket))
+    assert aircraft.ask(AskCircle(ticket), "ben")["status"] == "not_looking"
+    assert aircraft.ask(AskCircle("0" * 16))["status"] == "not_looking"
+    offered = aircraft.ask(ASKED)  # and not confirmed
+    assert aircraft.ask(AskCircle(offered["ticket"]))["status"] == "not_looking"
+    assert aircraft.ask(EndLook())["result"] == "accepted"
+    assert aircraft.ask(AskCircle(ticket))["status"] == "not_looking"
+    aircraft, ticket = looking(age_s=50.0)
+    assert "ticket" in aircraft.ask(AskCircle(ticket))
+    aircraft.now_s += 4.0
+    assert aircraft.ask(AskCircle(ticket))["status"] == "stale"
+
+
 def test_it_looks_ahead_again_when_that_is_asked_for() -> None:
     aircraft = Aircraft()
     assert aircraft.ask(EndLook()) == {"result": "accepted"}
-    assert aircraft.autopilot.targets == [None] and aircraft.thread.newest == "anna: ahead: accepted"
+    assert aircraft.autopilot.orders == [LookAhead()] and aircraft.thread.newest == "anna: ahead: accepted"
 
 
 def test_asked_again_a_confirmation_has_the_same_answer_and_is_sent_once() -> None:
     aircraft = Aircraft()
     offered = aircraft.ask(ASKED)
     first = aircraft.confirm(offered)
-    assert aircraft.confirm(offered, 0.1) == first and len(aircraft.autopilot.targets) == 1
+    assert aircraft.confirm(offered, 0.1) == first and len(aircraft.autopilot.orders) == 1
 
 
 @pytest.mark.parametrize(
@@ -122,7 +197,7 @@ def test_a_click_that_does_not_hold_is_refused_and_nothing_is_sent(change: dict[
     aircraft = Aircraft()
     refused = aircraft.ask(dataclasses.replace(ASKED, **change))  # type: ignore[arg-type]
     assert refused["status"] == word and refused["reason"]
-    assert aircraft.autopilot.targets == [] and aircraft.thread.newest == ""
+    assert aircraft.autopilot.orders == [] and aircraft.thread.newest == ""
 
 
 def test_a_place_off_by_less_than_both_radii_is_no_contradiction() -> None:
@@ -150,8 +225,8 @@ def test_heights_above_the_ellipsoid_are_sent_as_heights_above_the_sea() -> None
     )
     aircraft = Aircraft(feature_set=above)
     aircraft.confirm(aircraft.ask(ASKED))
-    (target,) = aircraft.autopilot.targets
-    assert target is not None and target.height_amsl_m == pytest.approx(FIX.height_amsl_m, abs=0.01)
+    (order,) = aircraft.autopilot.orders
+    assert isinstance(order, LookAt) and order.height_amsl_m == pytest.approx(FIX.height_amsl_m, abs=0.01)
 
 
 def test_a_place_without_a_height_above_the_sea_is_refused() -> None:
@@ -174,7 +249,7 @@ def test_what_was_long_on_its_way_is_refused_however_long_the_person_waited() ->
     offered = aircraft.ask(ASKED)
     aircraft.now_s += OFFER_S + 0.1
     assert aircraft.ask(ConfirmLook(offered["ticket"], OFFER_S))["status"] == "late"
-    assert len(aircraft.autopilot.targets) == 1
+    assert len(aircraft.autopilot.orders) == 1
 
 
 def test_no_one_confirms_for_another_and_no_ticket_can_be_made_up() -> None:
@@ -182,7 +257,7 @@ def test_no_one_confirms_for_another_and_no_ticket_can_be_made_up() -> None:
     offered = aircraft.ask(ASKED)
     assert aircraft.confirm(offered, who="ben")["status"] == "unknown_ticket"
     assert aircraft.ask(ConfirmLook("0" * 16, 0.0))["status"] == "unknown_ticket"
-    assert aircraft.autopilot.targets == []
+    assert aircraft.autopilot.orders == []
 
 
 def test_the_camera_is_not_sent_to_and_fro() -> None:
@@ -196,7 +271,7 @@ def test_the_camera_is_not_sent_to_and_fro() -> None:
     assert (
         aircraft.ask(ConfirmLook(other["ticket"], 3.0), "ben")["result"] == "accepted"
     )  # a busy one may be tried again
-    assert len(aircraft.autopilot.targets) == 2
+    assert len(aircraft.autopilot.orders) == 2
 
 
 @pytest.mark.parametrize(
@@ -204,7 +279,7 @@ def test_the_camera_is_not_sent_to_and_fro() -> None:
     [
         ("denied", "the autopilot refuses: denied", True),
         ("temporarily_rejected", "refuses: temporarily rejected", True),
-        (NOT_ACKNOWLEDGED, "has not acknowledged it: the camera may have turned or not", True),
+        (NOT_ACKNOWLEDGED, "has not acknowledged it: it may have been done or not", True),
         (NO_AUTOPILOT, "no autopilot is received: nothing was sent", False),
     ],
 )
@@ -252,7 +327,7 @@ def test_a_thousand_hostile_questions_a_second_neither_move_the_camera_nor_keep_
             thread.ask("anna", good, take)
             assert done.wait(60.0)
             time.sleep(0.01)
-    assert len(answers) == 1000 and aircraft.autopilot.targets == []
+    assert len(answers) == 1000 and aircraft.autopilot.orders == []
     assert {answer.get("status", "offer") for answer in answers} <= {
         "busy", "bad_request", "unknown_ticket", "unknown_frame", "contradiction", "outside", "offer", "uncertain",
     }  # fmt: skip

@@ -18,7 +18,7 @@ from contract.errors import LinkError
 from contract.feature_set import FeatureSet
 from contract.link_config import Tls
 from contract.locate import Locator
-from contract.look import AskLook
+from contract.look import AskCircle, AskLook, Offer
 from contract.vehicle_status import VehicleStatus
 from contract.wire.codec import decode
 from ground.look_link import LookLink
@@ -39,6 +39,7 @@ from tests.onboard.telemetry.listening import FLIGHT
 from tests.waiting import PATIENCE_S, eventually
 
 PIXEL = (320.0, 240.0)
+CAMERA_M = 50.0  # of the published set, above mean sea level: its ground is below the autopilot's 350 m
 
 
 def configuration(folder: Path, **sections: dict[str, object]) -> Config:
@@ -101,13 +102,13 @@ class Flying:
         return dataclasses.replace(asked, **change)  # type: ignore[arg-type]
 
 
-def confirmed(link: LookLink, click: AskLook) -> dict[str, Any]:
-    """The answer to a confirmed click. What a busy machine delays too long is asked for again."""
+def confirmed(link: LookLink, asked: AskLook | AskCircle) -> tuple[Offer, dict[str, Any]]:
+    """An offer that was confirmed, and the answer. What a busy machine delays too long is asked for again."""
     while True:
-        offer = answered(lambda: link.ask(click))
+        offer = answered(lambda: link.ask(asked))
         came_s = time.monotonic()
         try:
-            return link.confirm(offer, time.monotonic() - came_s)
+            return offer, link.confirm(offer, time.monotonic() - came_s)
         except RequestRefused as error:
             if error.word not in ("late", "busy", "not_acknowledged"):
                 raise
@@ -125,7 +126,7 @@ def flying(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Flying]:
         config = configuration(
             tmp_path,
             link={"pointers": ("anna", "ben")},
-            look={"max_radius_m": 40.0},
+            look={"max_radius_m": 40.0, "circle_radius_m": 120.0},
             telemetry={"url": autopilot.url, "backend": request.param},
         )
         parts, stop = opened(config), threading.Event()
@@ -135,7 +136,7 @@ def flying(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Flying]:
             listening.start()
             try:
                 assert eventually(lambda: parts.telemetry.health().state is State.OK)
-                made = dataclasses.replace(plain_set(), capture_unix_ns=time.time_ns())
+                made = dataclasses.replace(plain_set(), capture_unix_ns=time.time_ns(), camera_height_m=CAMERA_M)
                 published = decode(publisher.publish(made))
                 yield Flying(config, parts, autopilot, publisher, published)
             finally:
@@ -148,7 +149,7 @@ def test_the_camera_looks_where_it_was_clicked_and_everybody_sees_who_had_it_loo
     with flying.link("anna") as anna:
         answered(lambda: anna.ask(flying.click()))
         assert autopilot.received_of("COMMAND_INT") == [] and flying.status.look == ""
-        done = confirmed(anna, flying.click())
+        _, done = confirmed(anna, flying.click())
     assert done["result"] == "accepted"
     fix = Locator(flying.published).locate(PIXEL)
     assert isinstance(fix, Fix) and autopilot.roi is not None
@@ -169,6 +170,21 @@ def test_the_camera_looks_where_it_was_clicked_and_everybody_sees_who_had_it_loo
 
         assert eventually(ends)
     assert autopilot.roi is None and flying.status.look == "ben: ahead: accepted"
+
+
+def test_the_aircraft_circles_about_what_its_camera_looks_at_as_high_as_its_autopilot_flies(flying: Flying) -> None:
+    autopilot = flying.autopilot
+    with flying.link("anna") as anna:
+        look, done = confirmed(anna, flying.click())
+        assert done["may_circle"] is True and autopilot.circle is None
+        offer, done = confirmed(anna, AskCircle(look.ticket))
+    assert done["result"] == "accepted" and offer.circle is not None and autopilot.circle is not None
+    lat, lon, height_m, radius_m = autopilot.circle
+    assert (lat, lon) == pytest.approx((look.lat_deg, look.lon_deg), abs=1e-6) and radius_m == 120.0
+    heights_m = [m.alt / 1000.0 for m in FLIGHT.messages if m.get_type() == "GLOBAL_POSITION_INT"]
+    assert min(heights_m) - 0.1 <= height_m <= max(heights_m) + 0.1
+    assert offer.circle.above_place_m == pytest.approx(height_m - look.height_amsl_m, abs=0.2)
+    assert flying.status.look.startswith("anna: circling ") and flying.status.look.endswith(": accepted")
 
 
 def test_what_the_autopilot_refuses_is_stated_and_nothing_that_does_not_hold_gets_to_it(flying: Flying) -> None:

@@ -1,10 +1,12 @@
-"""Commands to look at a place, through both libraries, to a fake autopilot: done, refused, lost, or never sent."""
+"""Commands to look at a place and to circle, through both libraries: done, refused, lost, or never sent."""
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -12,29 +14,38 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from contract.errors import ConfigError
 from onboard.config.schema import parse_config
-from onboard.events.pointing import ACCEPTED, NO_AUTOPILOT, NOT_ACKNOWLEDGED, Target
+from onboard.events.pointing import (
+    ACCEPTED,
+    NO_AUTOPILOT,
+    NOT_ACKNOWLEDGED,
+    UNSUPPORTED,
+    CircleAbout,
+    LookAhead,
+    LookAt,
+)
 from onboard.events.session_clock import SessionClock
 from onboard.events.source import State
 from onboard.telemetry.factory import open_telemetry
 from onboard.telemetry.pointing import MOST_SENT, Pointing
 from simulation.autopilot.fake import FakeAutopilot, Faults
+from simulation.autopilot.flight import Flight
 from tests.onboard.link.ports import free_udp_port
 from tests.onboard.telemetry.listening import FLIGHT, TLOG, Listening, config_for, listening
 from tests.waiting import PATIENCE_S, eventually
 
-HILL = Target(-35.3632621, 149.1652374, 584.25)
+HILL = LookAt(-35.3632621, 149.1652374, 584.25)
 BOTH = pytest.mark.parametrize("backend", ["pymavlink", "mavsdk"])
 
 
 @contextmanager
 def flying(
-    backend: str = "pymavlink", limit_s: float = PATIENCE_S, **about: Any
+    backend: str = "pymavlink", limit_s: float = PATIENCE_S, flight: Flight = FLIGHT, **about: Any
 ) -> Iterator[tuple[FakeAutopilot, Pointing, Listening]]:
     """A fake autopilot that is being received, and what commands it."""
     pointing = Pointing(191, limit_s)
     url = f"udpout:127.0.0.1:{free_udp_port()}"
     with (
-        FakeAutopilot(FLIGHT, url, loop=True, **about) as autopilot,
+        FakeAutopilot(flight, url, loop=True, **about) as autopilot,
         listening(config_for(autopilot.url, backend=backend), pointing) as received,
     ):
         received.wait(State.OK)
@@ -50,16 +61,69 @@ def commands(autopilot: FakeAutopilot) -> list[Any]:
 def test_it_looks_at_the_place_and_ahead_again(backend: str, style: str) -> None:
     with flying(backend, style=style) as (autopilot, pointing, _):
         assert commands(autopilot) == []
-        assert pointing.point(HILL) == ACCEPTED
+        assert pointing.command(HILL) == ACCEPTED
         lat, lon, height_m = autopilot.roi or (0.0, 0.0, 0.0)
         assert abs(lat - HILL.lat_deg) < 1e-7 and abs(lon - HILL.lon_deg) < 1e-7 and height_m == HILL.height_amsl_m
         (sent, *_) = commands(autopilot)
         assert (sent.command, sent.frame) == (mavlink.MAV_CMD_DO_SET_ROI_LOCATION, mavlink.MAV_FRAME_GLOBAL_INT)
         assert (sent.target_system, sent.target_component) == (autopilot.system, 1)
         assert (sent.get_srcSystem(), sent.get_srcComponent()) == (autopilot.system, 191)
-        assert pointing.point(None) == ACCEPTED
+        assert pointing.command(LookAhead()) == ACCEPTED
         assert autopilot.roi is None
         assert commands(autopilot)[-1].command == mavlink.MAV_CMD_DO_SET_ROI_NONE
+
+
+ABOUT_HILL = CircleAbout(HILL.lat_deg, HILL.lon_deg, 700.0, 120.0)
+
+
+@pytest.mark.parametrize(
+    ("style", "kind", "number", "backend"),
+    [
+        ("ardupilot", mavlink.MAV_TYPE_FIXED_WING, mavlink.MAV_CMD_DO_REPOSITION, "pymavlink"),
+        ("px4", mavlink.MAV_TYPE_FIXED_WING, mavlink.MAV_CMD_DO_REPOSITION, "mavsdk"),
+        ("px4", mavlink.MAV_TYPE_HEXAROTOR, mavlink.MAV_CMD_DO_ORBIT, "pymavlink"),
+        ("px4", mavlink.MAV_TYPE_HEXAROTOR, mavlink.MAV_CMD_DO_ORBIT, "mavsdk"),
+    ],
+)
+def test_a_plane_and_a_multicopter_circle_about_the_place_at_the_height_and_radius(
+    style: str, kind: int, number: int, backend: str
+) -> None:
+    with flying(backend, flight=replace(FLIGHT, vehicle_type=kind), style=style) as (autopilot, pointing, _):
+        assert eventually(lambda: pointing.command(ABOUT_HILL) == ACCEPTED)
+        lat, lon, height_m, radius_m = autopilot.circle or (0.0, 0.0, 0.0, 0.0)
+        assert abs(lat - HILL.lat_deg) < 1e-7 and abs(lon - HILL.lon_deg) < 1e-7
+        assert (height_m, radius_m) == (700.0, 120.0) and autopilot.roi is None
+        sent = commands(autopilot)[-1]
+        assert (sent.command, sent.frame) == (number, mavlink.MAV_FRAME_GLOBAL_INT)
+        if number == mavlink.MAV_CMD_DO_REPOSITION:  # its own speed, the guided mode, clockwise
+            assert (sent.param1, sent.param2, sent.param4) == (-1.0, 1.0, 0.0)
+        else:  # speed, heading and turns of its own: 0 would be a standstill
+            assert all(math.isnan(value) for value in (sent.param2, sent.param3, sent.param4))
+
+
+@pytest.mark.parametrize(
+    ("style", "kind", "sent"),
+    [("ardupilot", mavlink.MAV_TYPE_QUADROTOR, 1), ("ardupilot", mavlink.MAV_TYPE_VTOL_TILTROTOR, 0)],
+)
+def test_what_cannot_circle_is_refused_and_sent_nowhere_instead(style: str, kind: int, sent: int) -> None:
+    with flying(flight=replace(FLIGHT, vehicle_type=kind), style=style) as (autopilot, pointing, _):
+        words: list[str] = []
+        assert eventually(lambda: words.append(pointing.command(ABOUT_HILL)) or words[-1] != NO_AUTOPILOT)
+        assert words[-1] == UNSUPPORTED
+        assert len(commands(autopilot)) == sent and autopilot.circle is None
+
+
+def test_the_height_is_the_autopilots_own_of_now() -> None:
+    now_s = [100.0]
+    pointing = Pointing(191, monotonic_s=lambda: now_s[0])
+    assert pointing.height_amsl_m() is None
+    for system, component, height_mm in ((7, 1, 712_300), (8, 1, 5_000), (7, 100, 6_000)):
+        message = mavlink.MAVLink_global_position_int_message(1000, 1, 2, height_mm, 4, 5, 6, 7, 8)
+        (heard,) = mavlink.MAVLink(None).parse_buffer(message.pack(mavlink.MAVLink(None, system, component)))
+        pointing.receive(heard, 7)
+    assert pointing.height_amsl_m() == 712.3
+    now_s[0] += 2.1
+    assert pointing.height_amsl_m() is None
 
 
 @pytest.mark.parametrize(
@@ -76,23 +140,23 @@ def test_it_looks_at_the_place_and_ahead_again(backend: str, style: str) -> None
 def test_a_refusal_has_the_autopilots_word(result: int, word: str) -> None:
     with flying() as (autopilot, pointing, _):
         autopilot.roi_results.append(result)
-        assert pointing.point(HILL) == word
+        assert pointing.command(HILL) == word
         assert autopilot.roi is None and len(commands(autopilot)) == 1
 
 
 def test_an_old_autopilot_that_knows_no_such_command_is_stated_by_name() -> None:
     with flying(style="old") as (_, pointing, _received):
-        assert pointing.point(HILL) == "unsupported"
+        assert pointing.command(HILL) == "unsupported"
 
 
 def test_what_is_lost_is_sent_again_and_not_for_ever() -> None:
     with flying() as (autopilot, pointing, _):
         autopilot.roi_results.extend([None, int(mavlink.MAV_RESULT_ACCEPTED)])
-        assert pointing.point(HILL) == ACCEPTED
+        assert pointing.command(HILL) == ACCEPTED
         assert len(commands(autopilot)) == 2
     with flying(limit_s=3.0) as (autopilot, pointing, _):
         autopilot.roi_results.extend([None] * 20)
-        assert pointing.point(HILL) == NOT_ACKNOWLEDGED
+        assert pointing.command(HILL) == NOT_ACKNOWLEDGED
         assert 1 <= len(commands(autopilot)) <= MOST_SENT
 
 
@@ -102,7 +166,7 @@ def test_over_a_line_that_loses_a_third_of_all_packets_it_is_never_sent_more_tha
         for _ in range(4):
             received.wait(State.OK)
             before = len(commands(autopilot))
-            words.append(pointing.point(HILL))
+            words.append(pointing.command(HILL))
             assert len(commands(autopilot)) - before <= MOST_SENT
         assert ACCEPTED in words and set(words) <= {ACCEPTED, NOT_ACKNOWLEDGED}
 
@@ -115,7 +179,7 @@ def test_an_autopilot_that_is_at_it_is_waited_for_and_not_asked_again() -> None:
         def is_sent() -> bool:
             return bool(commands(autopilot))
 
-        asking = threading.Thread(target=lambda: words.append(pointing.point(HILL)))
+        asking = threading.Thread(target=lambda: words.append(pointing.command(HILL)))
         asking.start()
         assert eventually(is_sent)
         done = mavlink.MAVLink_command_ack_message(
@@ -137,7 +201,7 @@ def test_only_the_autopilots_own_acknowledgement_of_our_own_command_counts() -> 
     pointing = Pointing(191, 0.3)
     location, none = mavlink.MAV_CMD_DO_SET_ROI_LOCATION, mavlink.MAV_CMD_DO_SET_ROI_NONE
     words: list[str] = []
-    asking = threading.Thread(target=lambda: words.append(pointing.point(HILL)))
+    asking = threading.Thread(target=lambda: words.append(pointing.command(HILL)))
     asking.start()
     assert eventually(lambda: pointing.due(10**9, 7))
     for foreign in (
@@ -157,7 +221,7 @@ def test_nothing_is_sent_to_an_autopilot_that_is_silent() -> None:
         autopilot.mute(PATIENCE_S)
         received.wait(State.LOST)
         before = len(commands(autopilot))
-        assert pointing.point(HILL) == NO_AUTOPILOT
+        assert pointing.command(HILL) == NO_AUTOPILOT
         assert len(commands(autopilot)) == before == 0
 
 
