@@ -108,6 +108,7 @@ BENCHMARKS = (
     Benchmark("detection", "Who would have been found", (), ("--flights", "2")),
     Benchmark("fleet", "Many aircraft at one router", (), ("--aircraft", "10", "--operators", "5", "--seconds", "8")),
     Benchmark("radio", "Clicks through an autopilot's radio"),
+    Benchmark("look_there", "Looking there and circling, with a real autopilot"),
     Benchmark("link", "What the link adds", (), ("--seconds", "1")),
     Benchmark(
         "picture_loss",

@@ -51,7 +51,7 @@ class Look(Section):
         None, 20.0, 2000.0, "m", "the radius at which `link.pointers` may have the aircraft circle; unset: no one may"
     )
     circle_clearance_m: float = quantity(
-        60.0, 10.0, 2000.0, "m", "a circle that is flown less than this above the clicked place is refused"
+        60.0, 10.0, 2000.0, "m", "a circle less than this above the clicked place is refused"
     )
 
 

@@ -100,7 +100,7 @@ def test_a_program_confirms_beforehand_and_ends_it(place: Place, capsys: pytest.
     assert place.autopilot.order == LookAhead() and "looks ahead again" in capsys.readouterr().out
 
 
-def test_a_circle_is_confirmed_by_itself_with_the_height_that_is_flown(
+def test_a_circle_is_confirmed_by_itself_with_its_own_height(
     place: Place, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     replies = {"Have the camera look there? [y/N] ": "y", "Have the aircraft circle there? [y/N] ": "n"}

@@ -128,7 +128,7 @@ def test_it_circles_about_what_the_camera_looks_at_only_once_place_and_height_ar
     )
 
 
-def test_the_height_that_was_confirmed_is_flown_whatever_the_aircraft_has_done_since() -> None:
+def test_the_height_that_was_confirmed_is_sent_whatever_the_aircraft_has_done_since() -> None:
     aircraft, ticket = looking()
     offered = aircraft.ask(AskCircle(ticket))
     aircraft.autopilot.height_m = 500.0

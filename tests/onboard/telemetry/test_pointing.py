@@ -119,8 +119,8 @@ def test_the_height_is_the_autopilots_own_of_now() -> None:
     assert pointing.height_amsl_m() is None
     for system, component, height_mm in ((7, 1, 712_300), (8, 1, 5_000), (7, 100, 6_000)):
         message = mavlink.MAVLink_global_position_int_message(1000, 1, 2, height_mm, 4, 5, 6, 7, 8)
-        (heard,) = mavlink.MAVLink(None).parse_buffer(message.pack(mavlink.MAVLink(None, system, component)))
-        pointing.receive(heard, 7)
+        (message,) = mavlink.MAVLink(None).parse_buffer(message.pack(mavlink.MAVLink(None, system, component)))
+        pointing.receive(message, 7)
     assert pointing.height_amsl_m() == 712.3
     now_s[0] += 2.1
     assert pointing.height_amsl_m() is None
