@@ -28,6 +28,7 @@ def features(fire: Fire) -> dict[str, Any]:
         "first_utc": time_utc(fire.first_unix_ns),
         "last_utc": time_utc(fire.last_unix_ns),
         "pictures": fire.pictures,
+        "has_temperature": fire.has_temperature,
         "spread_m_s": _rounded(fire.spread_m_s),
         "sigma_spread_m_s": _rounded(fire.sigma_spread_m_s),
     }
@@ -64,12 +65,19 @@ def _kml(fire: Fire) -> str:
             for name, rings in (("outerBoundaryIs", [outer]), ("innerBoundaryIs", holes)):
                 for ring in rings:
                     line = element(element(polygon, tag(name)), tag("LinearRing"))
-                    element(line, tag("coordinates"), " ".join(f"{lon:.8f},{lat:.8f}" for lon, lat in ring))
+                    element(
+                        line, tag("coordinates"), " ".join(f"{_within_180(lon):.8f},{lat:.8f}" for lon, lat in ring)
+                    )
     return document(root)
 
 
 def _areas(fire: Fire) -> list[tuple[str, Area]]:
     return [("perhaps", fire.perhaps), ("burned", fire.burned), ("surely", fire.surely)]
+
+
+def _within_180(lon_deg: float) -> float:
+    """As KML has it, whose readers close a ring over the 180th meridian by themselves."""
+    return (lon_deg + 180.0) % 360.0 - 180.0
 
 
 def _digits(ring: Ring) -> list[list[float]]:

@@ -1,7 +1,7 @@
 """A fire: where it burned in the last minutes, how sure that is, how large it is, how fast it spreads.
 
-Outlines of hot regions, each widened and narrowed by its own ellipse, on a grid of cells: (26.10), (26.11). How fast it
-spreads stands in `fire_spread`. No clock and no I/O.
+Outlines of hot regions, each widened and narrowed by its own ellipse, on a grid of cells for each place where it burns:
+(26.10), (26.11). How fast it spreads stands in `fire_spread`. No clock and no I/O.
 """
 
 from __future__ import annotations
@@ -9,13 +9,13 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from contract.answer import Ellipse
-from contract.geodesy import LocalFrame, level_ground_m
+from contract.answer import CONFIDENCE, Ellipse
+from contract.geodesy import LocalFrame, geodetic_to_ecef, level_ground_m
 from contract.spot import Spot, SpotReport
 from ground.seen.outline import cells_inside, patches
 from ground.spots.fire_spread import Front, spread
@@ -27,26 +27,38 @@ Ring = list[tuple[float, float]]
 HOT_C = 60.0  # above it a calibrated spot burns: no ground that the sun alone has warmed is so hot
 HOT_M2 = 2.0  # without calibration: smaller hot spots are no fire
 MOST_OUTLINES, MOST_CELLS, LEAST_CELL_M = 20_000, 300, 0.1
+CELLS_OF_AN_ERROR = 8.0  # that the shortest half axis of an ellipse is long at most: finer shows no more
 MOST_PICTURES = 100  # of more pictures so many, evenly: the next one adds little
 SMOOTHED = 4  # cells to either side, over which an outline's steps are averaged
+ONE_PLACE = 3.0  # reaches of two outlines, within which they are of one place: a front that moves on is of one
 
 
 @dataclass(frozen=True, eq=False)
 class _Region:
-    """One outline: its corners (K, 2) east and north, m, and how uncertain its place is."""
+    """One outline: its corners (K, 2) east and north of a place, m, and how uncertain that is."""
 
     at_ns: int
     frame: tuple[str, int, int]
+    place_deg: tuple[float, float]
     ring_m: Array
     ellipse: Ellipse
     is_cut: bool
+    has_temperature: bool
     picture_share: float
     session_share: float
+
+    @property
+    def reach_m(self) -> float:
+        """From its place to the farthest corner, its error added."""
+        return float(np.max(np.hypot(*self.ring_m.T))) + self.ellipse.semi_major_m
 
 
 @dataclass(frozen=True, eq=False)
 class Area:
-    """Rings of longitude and latitude, closed, each polygon's outer one first; and how large they are together."""
+    """Rings of longitude and latitude, closed, each polygon's outer one first; and how large they are together.
+
+    No ring jumps: next to the 180th meridian longitudes go on beyond it.
+    """
 
     polygons: list[list[Ring]]
     area_m2: float
@@ -55,9 +67,10 @@ class Area:
 
 @dataclass(frozen=True, eq=False)
 class Fire:
-    """The ground that burned from `first_unix_ns` to `last_unix_ns`: as seen, surely, perhaps: 90 % of outlines err by
-    no more than that. `spread_m_s`: how fast the fastest part of the front moved, with one sigma; None where there is
-    no earlier time to compare.
+    """The ground that burned from `first_unix_ns` to `last_unix_ns`: as seen, surely, perhaps: with 90 % no outline
+    is off by more than lies between the first two, and 90 % of them by no more than lies between first and third.
+    `spread_m_s`: how fast the fastest part of the front moved, with one sigma; None where there is no earlier time to
+    compare. Without `has_temperature` some of it is only hotter than its ground.
     """
 
     first_unix_ns: int
@@ -66,6 +79,7 @@ class Fire:
     burned: Area
     surely: Area
     perhaps: Area
+    has_temperature: bool
     spread_m_s: float | None
     sigma_spread_m_s: float | None
 
@@ -75,8 +89,9 @@ class Fire:
         if self.spread_m_s is not None and self.sigma_spread_m_s is not None:
             how = f"spreads with {self.spread_m_s:.2f} +-{self.sigma_spread_m_s:.2f} m/s at its fastest"
         count = "in one picture" if self.pictures == 1 else f"in {self.pictures} pictures"
+        what = "fire" if self.has_temperature else "fire, or what the sun has warmed (no temperature is known),"
         return (
-            f"fire of {self.burned.area_m2:.0f} m2 (surely {self.surely.area_m2:.0f}, perhaps "
+            f"{what} of {self.burned.area_m2:.0f} m2 (surely {self.surely.area_m2:.0f}, perhaps "
             f"{self.perhaps.area_m2:.0f}), perimeter {self.burned.perimeter_m:.0f} m, {how}, {count}"
         )
 
@@ -86,7 +101,6 @@ class FireGround:
 
     def __init__(self, hot_c: float = HOT_C) -> None:
         self._hot_c = hot_c
-        self._frame: LocalFrame | None = None
         self._regions: deque[_Region] = deque(maxlen=MOST_OUTLINES)
 
     def add(self, report: SpotReport) -> None:
@@ -95,14 +109,11 @@ class FireGround:
             place = spot.place
             if place is None or len(spot.outline_en_m) < 3 or not self._burns(spot):
                 continue
-            if self._frame is None:
-                self._frame = LocalFrame(place.lat_deg, place.lon_deg, 0.0)
-            east, north, _ = (float(c) for c in self._frame.to_enu(place.lat_deg, place.lon_deg, 0.0))
             self._regions.append(
                 _Region(
                     report.capture_unix_ns, (report.vehicle, report.session, report.frame),
-                    np.asarray(spot.outline_en_m, float) + [east, north], place.ellipse, spot.is_cut,
-                    report.picture_share, report.session_share,
+                    (place.lat_deg, place.lon_deg), np.asarray(spot.outline_en_m, float), place.ellipse, spot.is_cut,
+                    spot.temperature_c is not None, report.picture_share, report.session_share,
                 )
             )  # fmt: skip
 
@@ -112,30 +123,22 @@ class FireGround:
         until = newest if until_unix_ns is None else until_unix_ns
         since = until - round(minutes * 60e9)
         held = _thinned([region for region in self._regions if since <= region.at_ns <= until])
-        if not held or self._frame is None:
+        if not held:
             return None
-        grid = _Grid.of(held, self._frame)
-        burned, surely, perhaps = (grid.union([grid.cells(region, by) for region in held]) for by in (0, -1, 1))
-        known = self._spread(held, grid, burned)
+        places = [_FirePlace.of(regions) for regions in _by_place(held)]
+        spreads = [known for place in places if (known := place.spread()) is not None]
+        rate_m_s, sigma_m_s = max(spreads) if spreads else (None, None)
         return Fire(
-            min(r.at_ns for r in held), max(r.at_ns for r in held), len({r.frame for r in held}), grid.area(burned),
-            grid.area(surely), grid.area(perhaps), *(known or (None, None)),
+            min(r.at_ns for r in held), max(r.at_ns for r in held), len({r.frame for r in held}),
+            _together([p.burned for p in places]), _together([p.surely for p in places]),
+            _together([p.perhaps for p in places]), all(r.has_temperature for r in held), rate_m_s, sigma_m_s,
         )  # fmt: skip
 
     def copy(self) -> FireGround:
         """The same regions, for a look at them while more come."""
         out = FireGround(self._hot_c)
-        out._frame, out._regions = self._frame, self._regions.copy()
+        out._regions = self._regions.copy()
         return out
-
-    def _spread(self, held: list[_Region], grid: _Grid, burned: Mask) -> tuple[float, float] | None:
-        """The front's fastest part, m/s, and one sigma, by all pictures' outlines."""
-        by_picture: dict[tuple[str, int, int], list[_Region]] = {}
-        for region in held:
-            by_picture.setdefault(region.frame, []).append(region)
-        first_ns = min(region.at_ns for region in held)
-        fronts = [_front(regions, first_ns) for regions in by_picture.values()]
-        return spread(fronts, grid.corner_m + (np.argwhere(_edge(burned))[:, ::-1] + 0.5) * grid.cell_m)
 
     def _burns(self, spot: Spot) -> bool:
         if spot.temperature_c is not None:
@@ -144,8 +147,40 @@ class FireGround:
 
 
 @dataclass(frozen=True, eq=False)
+class _FirePlace:
+    """One place where it burns: its regions on one plane, and what they mark on one grid."""
+
+    held: list[_Region]
+    grid: _Grid
+    mask: Mask
+    burned: Area
+    surely: Area
+    perhaps: Area
+
+    @classmethod
+    def of(cls, regions: Sequence[_Region]) -> _FirePlace:
+        frame = LocalFrame(*regions[0].place_deg, 0.0)
+        held = [replace(r, ring_m=r.ring_m + frame.to_enu(*r.place_deg, 0.0)[:2]) for r in regions]
+        grid, pictures = _Grid.of(held, frame), len({r.frame for r in held})
+        # Each outline that is added can be the one that is off by too much: (26.11).
+        surely = math.sqrt(math.log((1.0 - CONFIDENCE) / pictures) / math.log(1.0 - CONFIDENCE))
+        masks = [grid.union([grid.cells(region, by) for region in held]) for by in (0.0, -surely, 1.0)]
+        return cls(held, grid, masks[0], *(grid.area(mask) for mask in masks))
+
+    def spread(self) -> tuple[float, float] | None:
+        """The front's fastest part, m/s, and one sigma, by all pictures' outlines."""
+        by_picture: dict[tuple[str, int, int], list[_Region]] = {}
+        for region in self.held:
+            by_picture.setdefault(region.frame, []).append(region)
+        first_ns = min(region.at_ns for region in self.held)
+        fronts = [_front(regions, first_ns) for regions in by_picture.values()]
+        parts = np.argwhere(_edge(self.mask))[:, ::-1] + 0.5
+        return spread(fronts, self.grid.corner_m + parts * self.grid.cell_m)
+
+
+@dataclass(frozen=True, eq=False)
 class _Grid:
-    """Cells over all regions and what their ellipses may add."""
+    """Cells over all regions of a place and what their ellipses may add."""
 
     frame: LocalFrame
     corner_m: Array  # (2,) east, north, of cell (0, 0)
@@ -157,23 +192,26 @@ class _Grid:
     def of(cls, held: Sequence[_Region], frame: LocalFrame) -> _Grid:
         low = np.min([r.ring_m.min(axis=0) - r.ellipse.semi_major_m for r in held], axis=0)
         high = np.max([r.ring_m.max(axis=0) + r.ellipse.semi_major_m for r in held], axis=0)
-        cell_m = max(float(np.max(high - low)) / (MOST_CELLS - 4), LEAST_CELL_M)
+        finest_m = max(min(r.ellipse.semi_minor_m for r in held) / CELLS_OF_AN_ERROR, LEAST_CELL_M)
+        cell_m = max(float(np.max(high - low)) / (MOST_CELLS - 4), finest_m)
         columns, rows = (int(n) + 4 for n in np.ceil((high - low) / cell_m))
         return cls(frame, low - 2.0 * cell_m, cell_m, rows, columns)
 
-    def cells(self, region: _Region, by: int) -> Mask:
-        """The cells (rows, columns) of a region: as it is, or widened (1) or narrowed (-1) by its ellipse. (26.10)"""
+    def cells(self, region: _Region, by: float) -> Mask:
+        """The cells (rows, columns) of a region: as it is (0), or widened by so many of its ellipses, or, if that is
+        less than 0, narrowed. (26.10)
+        """
         ring = (region.ring_m - self.corner_m) / self.cell_m
         out = np.zeros((self.rows, self.columns), bool)
         # Only about it: a large fire is many small outlines.
-        reach = region.ellipse.semi_major_m / self.cell_m + 2.0
+        reach = abs(by) * region.ellipse.semi_major_m / self.cell_m + 3.0
         x0, y0 = np.maximum(np.floor(ring.min(axis=0) - reach), 0).astype(int)
         x1, y1 = np.minimum(np.ceil(ring.max(axis=0) + reach), [self.columns, self.rows]).astype(int)
         mask = cells_inside([ring - [x0, y0]], y1 - y0, x1 - x0)
-        if by > 0:
-            mask = self._widened(mask, region.ellipse)
-        elif by < 0:
-            mask = ~self._widened(~mask, region.ellipse)
+        if by > 0.0:
+            mask = self._widened(mask, region.ellipse, by)
+        elif by < 0.0:
+            mask = ~self._widened(~mask, region.ellipse, -by)
         out[y0:y1, x0:x1] = mask
         return out
 
@@ -195,15 +233,18 @@ class _Grid:
         place = self.corner_m + ring * self.cell_m
         # A plane at the ellipsoid's height 0 there.
         up = level_ground_m(*place.T)
-        found = self.frame.to_geodetic(np.column_stack([place, up]))
-        out = [(float(lon), float(lat)) for lat, lon, _ in found]
+        lat, lon, _ = self.frame.to_geodetic(np.column_stack([place, up])).T
+        lon = self.frame.lon_deg + (lon - self.frame.lon_deg + 180.0) % 360.0 - 180.0
+        out = [(float(x), float(y)) for x, y in zip(lon, lat, strict=True)]
         return [*out, out[0]]
 
-    def _widened(self, mask: Mask, ellipse: Ellipse) -> Mask:
-        """Mark all cells that an ellipse about a marked cell reaches: for each row of it, a run in the mask's rows."""
+    def _widened(self, mask: Mask, ellipse: Ellipse, by: float) -> Mask:
+        """Mark all cells that an ellipse about a marked cell reaches, `by` times as large and half a cell longer, as
+        far as a cell's middle may be from an edge: for each row of it, a run in the mask's rows.
+        """
         azimuth = math.radians(ellipse.azimuth_deg)
         along, across = (math.sin(azimuth), math.cos(azimuth)), (math.cos(azimuth), -math.sin(azimuth))
-        a, b = (max(axis / self.cell_m, 1e-6) for axis in (ellipse.semi_major_m, ellipse.semi_minor_m))
+        a, b = (by * axis / self.cell_m + 0.5 for axis in (ellipse.semi_major_m, ellipse.semi_minor_m))
         # x' A x <= 1
         A = np.outer(along, along) / a**2 + np.outer(across, across) / b**2
         reach, (rows, columns) = int(math.sqrt(A[0, 0] / float(np.linalg.det(A)))), mask.shape
@@ -219,6 +260,28 @@ class _Grid:
             into, of = slice(max(dy, 0), max(rows + min(dy, 0), 0)), slice(max(-dy, 0), max(rows + min(-dy, 0), 0))
             out[into] |= hit[of]
         return out
+
+
+def _by_place(held: Sequence[_Region]) -> list[list[_Region]]:
+    """The regions of each place where it burns: those that are near one another, or near others that are."""
+    lat_deg, lon_deg = np.array([region.place_deg for region in held]).T
+    centres = geodetic_to_ecef(lat_deg, lon_deg, np.zeros(len(held)))
+    reach_m = ONE_PLACE * np.array([region.reach_m for region in held])
+    left, out = np.arange(len(held)), []
+    while len(left):
+        found, new = left[:0], left[:1]
+        left = left[1:]
+        while len(new):
+            one, found, new = new[0], np.append(found, new[0]), new[1:]
+            near = np.linalg.norm(centres[left] - centres[one], axis=1) <= reach_m[left] + reach_m[one]
+            new, left = np.concatenate([new, left[near]]), left[~near]
+        out.append([held[k] for k in np.sort(found)])
+    return out
+
+
+def _together(areas: Sequence[Area]) -> Area:
+    polygons = [polygon for area in areas for polygon in area.polygons]
+    return Area(polygons, sum(area.area_m2 for area in areas), sum(area.perimeter_m for area in areas))
 
 
 def _thinned(held: list[_Region]) -> list[_Region]:

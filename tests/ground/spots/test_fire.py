@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from contract.feature_set import FeatureSet
+from contract.geodesy import LocalFrame
 from contract.spot import Spot, SpotReport
 from contract.topics import FEATURES, SPOTS
 from contract.wire.codec import encode
@@ -62,6 +63,20 @@ def test_a_fire_is_as_large_as_it_is_and_its_edge_is_between_surely_and_perhaps(
         assert fire.surely.area_m2 > 0.75 * true_m2
         assert fire.burned.perimeter_m == pytest.approx(2.0 * math.pi * radius_m, rel=0.05)
         assert fire.pictures == 25
+
+
+def test_what_surely_burned_of_a_fire_that_stands_is_within_it_however_many_pictures_err() -> None:
+    beyond, left = [], []
+    for seed in range(3):
+        rng, ground = np.random.default_rng([seed, 26]), FireGround()
+        for k in range(24):
+            east, north = rng.multivariate_normal((0.0, 0.0), COV)
+            ground.add(report(k, 0.4 * k, burning(circle(12.0), float(east), float(north))))
+        surely = ground.fire(10.0).surely
+        away = [math.hypot(*HOME.to_enu(lat, lon, 0.0)[:2]) for ring in surely.polygons[0] for lon, lat in ring]
+        beyond.append(max(away) > 12.1)
+        left.append(surely.area_m2 / (math.pi * 144.0))
+    assert not any(beyond) and 0.4 < np.mean(left) < 0.8
 
 
 PASSES_S = np.concatenate([30.0 * k + np.arange(0.0, 5.0, 0.5) for k in range(4)])
@@ -163,6 +178,32 @@ def test_a_hole_that_does_not_burn_stays_one_and_two_fires_are_two_polygons() ->
     assert fire.burned.area_m2 == pytest.approx(1600.0 - 576.0 + math.pi * 25.0, rel=0.05)
 
 
+@pytest.mark.parametrize("lon_deg", [HOME.lon_deg, 179.9999])
+def test_fires_far_apart_are_where_they_are_and_as_large_wherever_the_first_one_was(lon_deg: float) -> None:
+    ground, here = FireGround(), LocalFrame(HOME.lat_deg, lon_deg, 0.0)
+    for k, (east_m, north_m) in enumerate([(0.0, 0.0), (5000.0, 0.0)]):
+        lat, lon, _ = here.to_geodetic([east_m, north_m, 0.0])
+        antipode, fire_there = burning(circle(5.0)), burning(circle(5.0))
+        assert antipode.place is not None and fire_there.place is not None
+        antipode = replace(antipode, place=replace(antipode.place, lat_deg=43.5, lon_deg=-7.5))
+        fire_there = replace(fire_there, place=replace(fire_there.place, lat_deg=float(lat), lon_deg=float(lon)))
+        ground.add(report(2 * k, 0.0, antipode))
+        ground.add(report(2 * k + 1, 400.0, fire_there))
+    fire = ground.fire(5.0)
+    assert fire is not None and fire.burned.area_m2 == pytest.approx(2.0 * math.pi * 25.0, rel=0.03)
+    assert (
+        0.1 < fire.surely.area_m2 / fire.burned.area_m2 < 0.4 and 2.0 < fire.perhaps.area_m2 / fire.burned.area_m2 < 3
+    )
+    for polygon, east_m in zip(fire.burned.polygons, (0.0, 5000.0), strict=True):
+        lons = [lon for lon, _ in polygon[0]]
+        assert np.ptp(lons) < 2e-4  # also where it lies across the 180th meridian
+        for lon, lat in polygon[0]:
+            east, north, _ = here.to_enu(lat, lon, 0.0)
+            assert math.hypot(east - east_m, north) == pytest.approx(5.0, abs=0.4)
+    written = re.findall(r"<coordinates>([-0-9.]+),", fire_area.write(fire, "a.kml"))
+    assert all(-180.0 <= float(lon) < 180.0 for lon in written)
+
+
 def test_only_what_is_hot_enough_large_enough_and_of_the_last_minutes_burns() -> None:
     ground = FireGround()
     ground.add(report(0, 0.0, burning(circle(10.0), -100.0)))
@@ -176,7 +217,8 @@ def test_only_what_is_hot_enough_large_enough_and_of_the_last_minutes_burns() ->
     unknown.add(report(0, 0.0, small, replace(small, area_m2=50.0, contrast=-9.0)))
     assert unknown.fire(5.0) is None
     unknown.add(report(1, 1.0, replace(small, area_m2=50.0, outline_en_m=circle(4.0))))
-    assert unknown.fire(5.0) is not None
+    doubtful = unknown.fire(5.0)
+    assert doubtful is not None and "sun has warmed" in doubtful.to_text() and "sun" not in fire.to_text()
 
 
 def test_of_very_many_pictures_some_are_taken_evenly_and_with_the_newest() -> None:
