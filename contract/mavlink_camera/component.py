@@ -189,8 +189,12 @@ class MavlinkCamera:
     def _track_point(self, command: _Command, now_ns: int) -> int | None:
         if any(waiting.key == command.key for waiting, _ in self._pending.values()):
             return IN_PROGRESS
-        if command.is_again and self._clicked is not None and self._clicked[0].key == command.key:
-            return self._clicked[1]
+        if command.is_again:
+            if self._clicked is not None and self._clicked[0].key == command.key:
+                return self._clicked[1]
+            # It was clicked some seconds before it came: nobody knows on which picture.
+            self._show(WARNING, "click: it came late, click again", now_ns)
+            return BUSY
         u, v, _, camera = command.parameters
         if not (0.0 <= u <= 1.0 and 0.0 <= v <= 1.0):
             self._show(WARNING, "click: the point is off the picture", now_ns)

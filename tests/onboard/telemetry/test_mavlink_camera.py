@@ -257,6 +257,17 @@ def test_a_click_that_is_sent_again_is_one_click() -> None:
     assert answered.results() == [ACCEPTED] and len(answered.end.asked) == 2
 
 
+def test_a_click_of_which_only_the_repetition_comes_is_refused_for_its_moment_is_not_known() -> None:
+    """A station sends again after seconds, in which the aircraft has moved by more than any ellipse states."""
+    virtual = Virtual(FIX)
+    virtual.click(0.3, 0.5, again=1)
+    sent = virtual.due()
+    assert [m.result for m in sent if m.get_type() == "COMMAND_ACK"] == [BUSY] and not virtual.end.asked
+    assert any("click again" in str(m.text) for m in sent if m.get_type() == "STATUSTEXT")
+    virtual.click(0.3, 0.5)
+    assert virtual.results() == [ACCEPTED] and len(virtual.end.asked) == 1
+
+
 def test_a_stop_cancels_the_clicks_that_are_under_way() -> None:
     """They were answered, and followed, after it."""
     virtual = Virtual(None)
