@@ -536,13 +536,13 @@ def _close(session: Any) -> None:
 def _answered(sample: zenoh.Sample) -> Reply:
     """A set, and what its attachment states of it. Raises WireError for a set that cannot be read or is another's."""
     found = read_set(str(sample.key_expr), sample.payload.to_bytes())
-    about = _object(sample.attachment)
+    about = json_object(sample.attachment)
     return Reply(found, _seconds(about.get("age_s")), _later(about.get("newest")), *_state_and_reason(about))
 
 
 def _refusal(error: zenoh.ReplyError | None) -> Reply | None:
     """Read the refusal that a queryable replied with; None if it is not one of ours."""
-    about = _object(None if error is None else error.payload)
+    about = json_object(None if error is None else error.payload)
     try:
         status, vehicle = Status(about["status"]), str(about["vehicle"])
     except (ValueError, KeyError):
@@ -561,7 +561,7 @@ def _json(content: zenoh.ZBytes | None) -> object:
         return None
 
 
-def _object(content: zenoh.ZBytes | None) -> dict[str, Any]:
+def json_object(content: zenoh.ZBytes | None) -> dict[str, Any]:
     """A JSON object; empty for anything else."""
     value = _json(content)
     return value if isinstance(value, dict) else {}

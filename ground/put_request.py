@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
 from contract.errors import LinkError
 from contract.topics import ANSWER_TIMEOUT_S
-from ground.client import put_question
+from ground.client import json_object, put_question
 
 
 class RequestRefused(LinkError):
@@ -24,7 +23,7 @@ def put_request(
     """The aircraft's answer; None if it gives none. Raises RequestRefused with its reason."""
     for _ in range(tries):
         for reply in put_question(session, selector, timeout_s):
-            content = _object((reply.ok or reply.err).payload.to_bytes())
+            content = json_object((reply.ok or reply.err).payload)
             if reply.ok is not None:
                 return content
             if "reason" in content:
@@ -36,12 +35,3 @@ def put_request(
 def _plain(value: object) -> str:
     """The words of another, for a line of ours."""
     return "".join(c for c in str(value)[:300] if c.isprintable())
-
-
-def _object(payload: bytes) -> dict[str, Any]:
-    """A JSON object; empty for anything else."""
-    try:
-        reply = json.loads(payload)
-    except (ValueError, RecursionError):
-        return {}
-    return {str(key): value for key, value in reply.items()} if isinstance(reply, dict) else {}
