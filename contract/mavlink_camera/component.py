@@ -192,7 +192,7 @@ class MavlinkCamera:
         if command.is_again:
             if self._clicked is not None and self._clicked[0].key == command.key:
                 return self._clicked[1]
-            # It was clicked some seconds before it came: nobody knows on which picture.
+            # It was clicked some seconds before it came: no one knows on which picture.
             self._show(WARNING, "click: it came late, click again", now_ns)
             return BUSY
         u, v, _, camera = command.parameters

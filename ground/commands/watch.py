@@ -141,8 +141,10 @@ def run(args: argparse.Namespace) -> int:
                 if age_s is None and state is not None and (when := stamped_elsewhen(state.unix_s, time.time())):
                     doubt = f"the status is {when}: it is old, or a clock is wrong"
                 amiss = "; ".join(text for text in (doubt, cache.link_error) if text)
-                row = _row(name, newest, state, age_s, rate_hz, amiss, cache.is_certain(name))
-                rows.append(_reporting(row, newest, state, received.silent_s(name)))
+                silent_s = received.silent_s(name)
+                silence = _Silence(received.set_silent_s(name), silent_s)
+                row = _row(name, newest, state, age_s, rate_hz, amiss, cache.is_certain(name), silence)
+                rows.append(_reporting(row, newest, state, silent_s))
             if not rows and not args.json:
                 print(f"nothing received yet{f': {cache.link_error}' if cache.link_error else ''}", file=sys.stderr)
             _show(rows, tracks.newest(cache.stamped_ago_s), found, args.json, is_screen)
@@ -192,12 +194,35 @@ class _Received:
             held = self._vehicles.get(vehicle)
         return float("inf") if held is None or held.state is None else time.monotonic() - held.state_s
 
+    def set_silent_s(self, vehicle: str) -> float:
+        """Seconds since its last set came, however old; infinite before the first."""
+        with self._lock:
+            held = self._vehicles.get(vehicle)
+        return float("inf") if held is None or not held.times else time.monotonic() - held.times[-1]
+
     def rate_hz(self, vehicle: str) -> float | None:
         with self._lock:
             held = self._vehicles.get(vehicle)
             times = [] if held is None else list(held.times)
         since = time.monotonic() - RATE_SPAN_S
         return sum(t >= since for t in times) / RATE_SPAN_S if times else None
+
+
+@dataclass(frozen=True)
+class _Silence:
+    """Seconds since a set of a vehicle came, and since a status did."""
+
+    set_s: float = float("inf")
+    status_s: float = float("inf")
+
+    def of_old(self, age_s: float) -> tuple[str, str]:
+        """The state of a vehicle whose newest picture is so old, and what there is of it, in words."""
+        silent_s = min(self.set_s, self.status_s)
+        if silent_s > MAX_AGE_S:
+            return "no link", f"nothing received for {span(min(silent_s, age_s))}"
+        if self.set_s <= MAX_AGE_S:
+            return "late", f"its sets are of pictures {span(age_s)} old"
+        return "no sets", f"its status comes, and no set for {span(age_s)}"
 
 
 def _row(
@@ -208,6 +233,7 @@ def _row(
     rate_hz: float | None,
     doubt: str = "",
     is_certain: bool = True,
+    silence: _Silence = _Silence(),
 ) -> Row:
     state, reason = ("", "") if status is None else (status.state, status.reason)
     ce90 = None
@@ -219,8 +245,11 @@ def _row(
         state = state or newest.status.value
         reason = reason or ("" if mark.is_placed else mark.reason)
     if age_s is not None and age_s > MAX_AGE_S:
-        parts = [f"nothing received for {span(age_s)}" if is_certain else "", doubt, f"last: {state}" if state else ""]
-        state = "no link" if is_certain else "old?"
+        word, words = silence.of_old(age_s) if is_certain else ("old?", "")
+        last = "picture" if status is None else "it reports" if silence.status_s <= MAX_AGE_S else "last"
+        report = f"{state}: {reason}" if reason and word != "no link" else state
+        parts = [words, doubt, f"{last}: {report}" if state else ""]
+        state = word
     else:
         parts = [reason, doubt, "" if status is None else status.amiss]
     reason = "; ".join(text for text in parts if text)

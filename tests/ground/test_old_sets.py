@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import math
 import socket
 import threading
 import time
@@ -19,6 +20,7 @@ from contract.wire.codec import encode
 from contract.wire.track_code import encode_track
 from ground.__main__ import main
 from ground.client import SetCache
+from ground.commands.watch import _row, _Silence
 from ground.pins.store import PinStore
 from ground.web.api_vehicles import vehicle_json
 from ground.web.context import ServerContext
@@ -133,7 +135,9 @@ def test_watch_shows_yesterday_s_sets_a_day_old_and_next_to_today_s_not_at_all(
     assert "old" not in row["state"]
 
 
-def test_a_silent_aircraft_whose_clock_is_known_has_no_link(sender: Sender, capsys: pytest.CaptureFixture[str]) -> None:
+def test_of_an_aircraft_whose_clock_is_known_an_old_set_that_comes_again_is_late(
+    sender: Sender, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Its clock is off by a day, as it has answered: its newest picture is old, and not perhaps old."""
     sender.put(DAY_S)
     newest = dataclasses.replace(
@@ -151,13 +155,32 @@ def test_a_silent_aircraft_whose_clock_is_known_has_no_link(sender: Sender, caps
     def again(sender: Sender) -> None:
         sender.session.put(KEY, answer, attachment=b"20")
 
-    def is_silent() -> bool:
+    def is_late() -> bool:
         nonlocal row
         row, _ = watched(sender, again, capsys)
-        return row is not None and row["state"] == "no link"
+        return row is not None and row["state"] == "late"
 
-    assert eventually(is_silent), row
-    assert row["reason"].startswith("nothing received for 2") and "the aircraft's clock is 24 h behind" in row["reason"]
+    assert eventually(is_late), row
+    assert (
+        row["reason"].startswith("its sets are of pictures 2")
+        and "the aircraft's clock is 24 h behind" in row["reason"]
+    )
+
+
+@pytest.mark.parametrize(
+    ("set_s", "status_s", "state", "words"),
+    [
+        (40.0, 0.5, "no sets", "its status comes, and no set for 40.0 s; it reports: degraded: no GPS"),
+        (0.5, 0.5, "late", "its sets are of pictures 40.0 s old; it reports: degraded: no GPS"),
+        (0.5, 40.0, "late", "its sets are of pictures 40.0 s old; last: degraded: no GPS"),
+        (40.0, 40.0, "no link", "nothing received for 40.0 s; last: degraded"),
+        (0.5, math.inf, "late", "its sets are of pictures 40.0 s old; picture: ok"),
+    ],
+)
+def test_of_an_old_picture_it_is_said_what_still_comes(set_s: float, status_s: float, state: str, words: str) -> None:
+    status = None if math.isinf(status_s) else VehicleStatus(0.0, 1, "degraded", "no GPS")
+    row = _row("uav-1", BASE, status, 40.0, 0.0, silence=_Silence(set_s, status_s))
+    assert (row.state, row.reason) == (state, words)
 
 
 def test_the_page_has_them_as_old_and_cot_sends_no_position(sender: Sender, tmp_path: Path) -> None:
