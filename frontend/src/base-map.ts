@@ -24,10 +24,10 @@ export async function baseMap(tiles: Tiles): Promise<BaseMap> {
   if (tiles.kind === "tilejson") {
     const answer = await fetch(tiles.url);
     if (!answer.ok) throw new Error(`${tiles.url}: ${answer.status}`);
-    const about = await answer.json() as { tiles: string[]; minzoom?: number; maxzoom?: number; bounds?: Bounds; attribution?: string; vector_layers?: unknown };
+    const about = await answer.json() as { tiles: string[]; minzoom?: number; maxzoom?: number; bounds?: Bounds; attribution?: string; scheme?: string; vector_layers?: unknown };
     const zooms = { minzoom: about.minzoom ?? 0, ...(about.maxzoom === undefined ? {} : { maxzoom: about.maxzoom }) };
     const bounds = about.bounds === undefined ? null : known(about.bounds);
-    const source = { tiles: about.tiles, ...zooms, ...(bounds === null ? {} : { bounds }), ...(about.attribution === undefined ? {} : { attribution: plain(about.attribution) }), ...common };
+    const source = { tiles: about.tiles, ...(about.scheme === "tms" ? { scheme: "tms" } : {}), ...zooms, ...(bounds === null ? {} : { bounds }), ...(about.attribution === undefined ? {} : { attribution: plain(about.attribution) }), ...common };
     return made(source, about.vector_layers !== undefined, bounds, zooms.minzoom, null);
   }
   // What was downloaded of an address: the map begins there, and the server sends on to the address for the rest.

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from contract.errors import InputError
-from ground.web.tile_fetch import DEEPEST, TRIES, Description, Fetcher, described, fetching, image_format, tile_url
+from ground.web.tile_fetch import DEEPEST, TRIES, Description, Fetcher, described, fetching, image_format
 from ground.web.tile_keep import Range, TileKeep
 from ground.web.tiles import Bounds, Tiles
 
@@ -77,7 +77,7 @@ class TileArea:
             first, last = _zooms(view, about)
             columns = tile_range(view.bounds, first)
             middle = (columns[0] + columns[1]) // 2, (columns[2] + columns[3]) // 2
-            sample = fetcher.tile(about.template, first, *middle)
+            sample = fetcher.tile(about, first, *middle)
         mean = self._keep.mean_bytes() or (USUAL_BYTES if sample is None else float(len(sample)))
         choices: list[dict[str, int]] = []
         count, held = 0, 0
@@ -140,7 +140,7 @@ class TileArea:
                             about = self._about = described(self._tiles, fetcher)
                     except InputError:
                         self._ask_after_s = time.monotonic() + ASK_AGAIN_S
-        return None if about is None else tile_url(about.template, z, x, y)
+        return None if about is None else about.url(z, x, y)
 
     def to_dict(self) -> dict[str, Any]:
         """The base map for the page: the address alone, until something of it is kept."""
@@ -189,7 +189,7 @@ class TileArea:
                 if self._keep.tile(z, x, y) is not None:
                     self._add(tiles=1)
                     continue
-                tile = fetcher.tile(about.template, z, x, y)
+                tile = fetcher.tile(about, z, x, y)
                 if tile is None:
                     self._add(gaps=1)
                     continue

@@ -9,7 +9,6 @@ import json
 import socket
 import ssl
 import threading
-import time
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -27,6 +26,7 @@ SILENCE_S, ANSWER_S = 10.0, 30.0  # of a server: without a byte, and from questi
 PAUSE_S = 1.0  # before one more try
 TRIES = 3
 MOST_REDIRECTS = 3
+MOST_LAYERS = 1000  # of a vector tile: a map has some ten
 DEEPEST = 19  # of an address that does not state it: where most servers end
 _LIMITED, _FORBIDDEN, _GAPS = 429, 403, (204, 404, 410)
 _LAYERS, _LENGTH_DELIMITED = 3, 2  # of a vector tile's message: its only field, and how that is written
@@ -38,12 +38,21 @@ class FetchError(InputError):
 
 @dataclass(frozen=True)
 class Description:
-    """The tiles that an address has. `max_zoom` None: it does not state it."""
+    """The tiles that an address has. `max_zoom` None: it does not state it. `is_tms`: its rows count from the south."""
 
     template: str
     min_zoom: int = 0
     max_zoom: int | None = None
     attribution: str = ""
+    is_tms: bool = False
+
+    def url(self, z: int, x: int, y: int) -> str:
+        """The URL of one tile, whose row counts from the north."""
+        text = self.template
+        row = (1 << z) - 1 - y if self.is_tms else y
+        for name, value in (("{z}", z), ("{x}", x), ("{y}", row), ("{ratio}", "")):
+            text = text.replace(name, str(value))
+        return text
 
 
 class Fetcher:
@@ -56,9 +65,9 @@ class Fetcher:
         self._stop = threading.Event()
         self._connection: http.client.HTTPConnection | None = None
 
-    def tile(self, template: str, z: int, x: int, y: int) -> bytes | None:
+    def tile(self, about: Description, z: int, x: int, y: int) -> bytes | None:
         """A checked tile, a vector tile packed by gzip; None where the address has none. Raises FetchError."""
-        content = self.get(tile_url(template, z, x, y), MAX_TILE_BYTES)
+        content = self.get(about.url(z, x, y), MAX_TILE_BYTES)
         if not content:
             return None
         checked = checked_tile(content)
@@ -105,7 +114,27 @@ class Fetcher:
         raise FetchError(f"{self.host} sends on and on")
 
     def _ask(self, url: str, most: int) -> tuple[int, bytes, str]:
-        parts, ends_s = urlsplit(url), time.monotonic() + ANSWER_S
+        """Ask once; hung up after ANSWER_S, whatever still comes: also the lines before a body can have no end."""
+        is_late = threading.Event()
+
+        def hang_up() -> None:
+            is_late.set()
+            self._shut()
+
+        timer = threading.Timer(ANSWER_S, hang_up)
+        timer.daemon = True
+        timer.start()
+        try:
+            return self._asked(url, most, is_late)
+        except (OSError, http.client.HTTPException) as error:
+            if is_late.is_set():
+                raise TimeoutError from error
+            raise
+        finally:
+            timer.cancel()
+
+    def _asked(self, url: str, most: int, is_late: threading.Event) -> tuple[int, bytes, str]:
+        parts = urlsplit(url)
         target = (parts.path or "/") + (f"?{parts.query}" if parts.query else "")
         for is_reused in (self._connection is not None, False):
             connection = self._connected()
@@ -115,15 +144,16 @@ class Fetcher:
                 break
             except (ConnectionError, http.client.RemoteDisconnected):
                 self.close()
-                if not is_reused:  # the server ends connections that it has kept open, and may do so at any time
+                # The server ends connections that it has kept open, and may do so at any time.
+                if not is_reused or is_late.is_set():
                     raise
         content = bytearray()
         while part := answer.read1(65536):
             content += part
             if len(content) > most:
                 raise FetchError(f"{self.host} sends more than {most / 1e6:.0f} MB for one tile")
-            if time.monotonic() > ends_s:
-                raise TimeoutError
+        if is_late.is_set():
+            raise TimeoutError
         if answer.length:  # it hung up before the end
             raise ConnectionResetError
         answer.close()  # the connection stays, for the next tile
@@ -142,6 +172,9 @@ class Fetcher:
     def abort(self) -> None:
         """End it from another thread, also while it waits."""
         self._stop.set()
+        self._shut()
+
+    def _shut(self) -> None:
         held = None if self._connection is None else self._connection.sock
         if held is not None:
             with contextlib.suppress(OSError):
@@ -162,20 +195,15 @@ def described(tiles: Tiles, fetcher: Fetcher) -> Description:
         about = json.loads(content or b"")
         template = urljoin(tiles.url, str(about["tiles"][0]))
         least, most = int(about.get("minzoom", 0)), int(about.get("maxzoom", DEEPEST))
-    except (ValueError, TypeError, LookupError, AttributeError, RecursionError) as error:
+        scheme = about.get("scheme", "xyz")
+    except (ValueError, TypeError, LookupError, AttributeError, OverflowError, RecursionError) as error:
         raise FetchError(f"{fetcher.host} sends no TileJSON there") from error
-    if not all(f"{{{axis}}}" in template for axis in "zxy") or not 0 <= least <= most <= 30:
-        raise FetchError(f"{fetcher.host} sends a TileJSON whose tiles or zooms cannot be used")
+    is_usable = all(f"{{{axis}}}" in template for axis in "zxy") and 0 <= least <= most <= 30
+    if not is_usable or scheme not in ("xyz", "tms"):
+        raise FetchError(f"{fetcher.host} sends a TileJSON whose tiles, zooms or scheme cannot be used")
     if origin_of(template) != tiles.origin:
         raise FetchError(f"the TileJSON's tiles are at another host ({urlsplit(template).hostname}): refused")
-    return Description(template, least, most, tiles.attribution or _text(about.get("attribution")))
-
-
-def tile_url(template: str, z: int, x: int, y: int) -> str:
-    """The URL of one tile."""
-    for name, value in (("{z}", z), ("{x}", x), ("{y}", y), ("{ratio}", "")):
-        template = template.replace(name, str(value))
-    return template
+    return Description(template, least, most, tiles.attribution or _text(about.get("attribution")), scheme == "tms")
 
 
 def image_format(content: bytes) -> str:
@@ -207,7 +235,9 @@ def checked_tile(content: bytes) -> bytes | None:
 def _is_vector_tile(content: bytes) -> bool:
     """Return whether the bytes are layers of a vector tile one after the other, to the last byte."""
     at = 0
-    while at < len(content):
+    for _ in range(MOST_LAYERS):
+        if at >= len(content):
+            break
         key, at = _varint(content, at)
         length, at = _varint(content, at)
         if key != (_LAYERS << 3 | _LENGTH_DELIMITED) or length < 0:

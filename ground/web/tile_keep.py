@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import sqlite3
 import threading
 from pathlib import Path
+from typing import Any
 
 from contract.errors import InputError
 from ground.web.tiles import Bounds
@@ -21,7 +23,10 @@ BUSY_S = 10.0  # for another program's transaction
 
 
 class TileKeep:
-    """One file, made with the first tile that is kept. Raises InputError for one that is none, and for a full disk."""
+    """One file, made with the first tile that is kept. Raises InputError for one that is none, and for a full disk.
+
+    Of one that has been damaged since, what cannot be read is not there: the map has the address.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -41,44 +46,38 @@ class TileKeep:
                 raise InputError(f"tiles {self.path}: {error}; remove the file, it is made again") from error
         return self._base
 
-    def about(self) -> dict[str, str]:
-        """The metadata; empty where nothing is kept."""
+    def _rows(self, query: str, values: tuple[int, ...] = ()) -> list[tuple[Any, ...]]:
         with self._lock:
             if self._base is None:
-                return {}
-            return {str(name): str(value) for name, value in self._base.execute("SELECT name, value FROM metadata")}
+                return []
+            with contextlib.suppress(sqlite3.Error):
+                return self._base.execute(query, values).fetchall()
+            return []
+
+    def about(self) -> dict[str, str]:
+        """The metadata; empty where nothing is kept."""
+        return {str(name): str(value) for name, value in self._rows("SELECT name, value FROM metadata")}
 
     def count(self, zoom: int, within: Range) -> int:
         """The number of tiles that are kept of a range."""
-        with self._lock:
-            if self._base is None:
-                return 0
-            west, east, north, south = within
-            query = "SELECT count(*) FROM tiles WHERE zoom_level = ? AND tile_column BETWEEN ? AND ? "
-            last = (1 << zoom) - 1
-            found = self._base.execute(
-                query + "AND tile_row BETWEEN ? AND ?", (zoom, west, east, last - south, last - north)
-            )
-            return int(found.fetchone()[0])
+        west, east, north, south = within
+        last = (1 << zoom) - 1
+        query = (
+            "SELECT count(*) FROM tiles WHERE zoom_level = ? AND tile_column BETWEEN ? AND ? "
+            "AND tile_row BETWEEN ? AND ?"
+        )
+        return sum(int(count) for (count,) in self._rows(query, (zoom, west, east, last - south, last - north)))
 
     def mean_bytes(self) -> float | None:
         """Return the mean size of the tiles that are kept, bytes; None without any."""
-        with self._lock:
-            if self._base is None:
-                return None
-            (mean,) = self._base.execute("SELECT avg(length(tile_data)) FROM tiles").fetchone()
-            return None if mean is None else float(mean)
+        return next((mean for (mean,) in self._rows("SELECT avg(length(tile_data)) FROM tiles")), None)
 
     def tile(self, z: int, x: int, y: int) -> bytes | None:
         """A tile as it was kept; None for one that is not here."""
         if not 0 <= z <= 30 or not 0 <= x < 1 << z or not 0 <= y < 1 << z:
             return None
         query = "SELECT tile_data FROM tiles WHERE zoom_level = ? AND tile_column = ? AND tile_row = ?"
-        with self._lock:
-            if self._base is None:
-                return None
-            found = self._base.execute(query, (z, x, (1 << z) - 1 - y)).fetchone()
-        return None if found is None else bytes(found[0])
+        return next((bytes(data) for (data,) in self._rows(query, (z, x, (1 << z) - 1 - y))), None)
 
     def keep(self, tiles: list[tuple[int, int, int, bytes]], about: dict[str, str], bounds: Bounds) -> None:
         """Keep tiles, the metadata, and zooms and bounds that hold the earlier ones too, in one transaction."""

@@ -10,6 +10,7 @@ import threading
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from contract.errors import InputError
 from ground.web.guard import origin_of
@@ -89,7 +90,7 @@ def _pmtiles(path: Path, header: bytes, attribution: str) -> Tiles:
 
 def _mbtiles(path: Path, attribution: str) -> Tiles:
     try:
-        with contextlib.closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as base:
+        with contextlib.closing(_connected(path)) as base:
             about = dict(base.execute("SELECT name, value FROM metadata").fetchall())
             ((most,),) = base.execute("SELECT max(zoom_level) FROM tiles")
             ((least,),) = base.execute("SELECT min(zoom_level) FROM tiles")
@@ -103,6 +104,11 @@ def _mbtiles(path: Path, attribution: str) -> Tiles:
     bounds = _stated_bounds(str(about.get("bounds", ""))) or _tiles_bounds(int(least), *edges)
     text = attribution or str(about.get("attribution", ""))[:300]
     return Tiles("mbtiles", path, "/tiles/{z}/{x}/{y}", "", kind, int(most), text, int(least), bounds)
+
+
+def _connected(path: Path | None) -> sqlite3.Connection:
+    """An MBTiles file to read from; its name may have any characters, also those that end a URI's path."""
+    return sqlite3.connect(f"file:{quote(str(path))}?mode=ro", uri=True, check_same_thread=False)
 
 
 def _stated_bounds(text: str) -> Bounds | None:
@@ -135,7 +141,7 @@ class MbTiles:
 
     def __init__(self, tiles: Tiles) -> None:
         self._lock = threading.Lock()
-        self._base = sqlite3.connect(f"file:{tiles.path}?mode=ro", uri=True, check_same_thread=False)
+        self._base = _connected(tiles.path)
         self.media_type = MEDIA.get(tiles.format, "application/octet-stream")
 
     def tile(self, z: int, x: int, y: int) -> tuple[bytes, bool] | None:

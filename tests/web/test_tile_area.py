@@ -7,6 +7,7 @@ import gzip
 import io
 import json
 import re
+import socket
 import sqlite3
 import threading
 from collections.abc import Callable, Iterator
@@ -292,10 +293,10 @@ def test_too_many_tiles_and_too_many_bytes_are_refused(
 
 
 def test_without_an_address_of_single_tiles_the_reason_is_stated(tmp_path: Path) -> None:
-    write_mbtiles(tmp_path / "own.mbtiles")
+    write_mbtiles(tmp_path / "own #1?.mbtiles")
     sources = {
         None: "no tile address is configured",
-        str(tmp_path / "own.mbtiles"): "a file already",
+        str(tmp_path / "own #1?.mbtiles"): "a file already",
         "http://127.0.0.1:1/a.pmtiles": "copy that file",
     }
     for source, words in sources.items():
@@ -314,6 +315,49 @@ def test_tiles_of_another_host_than_the_tilejsons_are_refused(tmp_path: Path, th
     there.about = {"tiles": [5]}
     with api(tmp_path, f"{there.url}/map.json") as client:
         assert "cannot be used" in client.post("/api/tiles/plan", json=VIEW).json()["detail"]
+
+
+def test_rows_that_count_from_the_south_are_where_they_belong(tmp_path: Path, there: TileServer) -> None:
+    """Taken as they are, they are a map of the other hemisphere."""
+    there.about = {"scheme": "tms", "maxzoom": 12}
+    with api(tmp_path, f"{there.url}/map.json") as client:
+        assert downloaded(client, 10)["state"] == "done"
+        asked = {(z, x, (1 << z) - 1 - y) for z, x, y in there.asked}
+        assert asked and all(client.get(f"/tiles/{z}/{x}/{y}").status_code == 200 for z, x, y in asked)
+        assert client.get("/tiles/10/0/1").headers["location"].endswith("/10/0/1022.png")
+    for about in ({"scheme": "zyx"}, {"maxzoom": float("inf")}):
+        there.about = about
+        (tmp_path / "other").mkdir(exist_ok=True)
+        with api(tmp_path / "other", f"{there.url}/map.json") as client:
+            assert client.post("/api/tiles/plan", json=VIEW).status_code == 422
+
+
+def test_an_answer_that_never_comes_to_its_content_is_hung_up_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each line of it comes in time, without end."""
+    monkeypatch.setattr(tile_fetch, "ANSWER_S", 0.2)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def drip() -> None:
+            held, _ = server.accept()
+            with held, contextlib.suppress(OSError):
+                while True:
+                    held.sendall(b"HTTP/1.1 100 Continue\r\n\r\n")
+                    threading.Event().wait(0.01)
+
+        threading.Thread(target=drip, daemon=True).start()
+        url = f"http://127.0.0.1:{server.getsockname()[1]}/"
+        with tile_fetch.fetching(url, tries=1) as fetcher, pytest.raises(InputError, match="no answer in time"):
+            fetcher.get(url, 1000)
+
+
+def test_a_file_that_is_damaged_later_leaves_the_page_and_the_address(tmp_path: Path, there: TileServer) -> None:
+    with api(tmp_path, there.template) as client:
+        downloaded(client, 10)
+        (path,) = (tmp_path / "tiles").glob("*.mbtiles")
+        path.write_bytes(path.read_bytes()[:4096] + bytes(path.stat().st_size - 4096))
+    with api(tmp_path, there.template) as client:
+        assert client.get("/api/status").status_code == 200
+        assert client.get("/tiles/10/935/649").headers["location"].startswith(there.url)
 
 
 def test_a_viewer_begins_and_ends_nothing(tmp_path: Path, there: TileServer) -> None:
