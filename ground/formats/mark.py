@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 from contract.answer import Answer, Ellipse, Refusal, time_utc
@@ -14,6 +15,11 @@ from ground.spots.found_thing import FoundThing
 PLACED = "ok"
 CONTRADICTING = "contradicting"
 MACHINE = "hot spot, unconfirmed"  # method of what a program found and no person has looked at
+
+
+def up(metres: float) -> float:
+    """The length rounded up to a tenth: the stated accuracy is never better than the known one."""
+    return math.ceil(metres * 10.0 - 1e-9) / 10.0 if math.isfinite(metres) else metres
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,17 +84,18 @@ class Mark:
         """Position and height accuracy in one line, in the words of every format: the figures are 90 %."""
         if not self.is_placed:
             return f"no position: {self.status}: {self.reason}"
-        parts = ["accuracy not known" if self.ce90_m is None else f"+-{self.ce90_m:.1f} m (CE90)"]
+        parts = ["accuracy not known" if self.ce90_m is None else f"+-{up(self.ce90_m):.1f} m (CE90)"]
         if self.height_amsl_m is not None:
             parts.append(f"height {self.height_amsl_m:.1f} m AMSL")
         elif self.height_ellipsoid_m is not None:
             parts.append(f"height {self.height_ellipsoid_m:.1f} m above the WGS84 ellipsoid")
         if self.le90_m is not None:
-            parts[-1] += f" +-{self.le90_m:.1f} m (LE90)"
+            parts[-1] += f" +-{up(self.le90_m):.1f} m (LE90)"
         if self.ellipse is not None:
             e = self.ellipse
             parts.append(
-                f"90 % ellipse {e.semi_major_m:.1f} x {e.semi_minor_m:.1f} m, long axis at {e.azimuth_deg:.0f} deg"
+                f"90 % ellipse {up(e.semi_major_m):.1f} x {up(e.semi_minor_m):.1f} m, "
+                f"long axis at {e.azimuth_deg:.0f} deg"
             )
         return ", ".join(parts)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import math
 import time
 from collections.abc import Callable
 from typing import Annotated, Any
@@ -16,7 +15,7 @@ from contract.errors import InputError
 from ground.formats import data_package
 from ground.formats.coordinates import Projection
 from ground.formats.documents import FORMATS
-from ground.formats.mark import Mark
+from ground.formats.mark import Mark, up
 from ground.formats.rounded import decimals, rounded_text, spoken_mgrs
 from ground.pins.fusion import Vector
 from ground.pins.model import Category, Pin
@@ -114,11 +113,6 @@ def export(context: Context, kind: str) -> Response:
     about = FORMATS[kind]
     headers = {"content-disposition": f'attachment; filename="pins{about.suffix}"'}
     return Response(about.write(marks, None), media_type=about.media_type, headers=headers)
-
-
-def up(metres: float) -> float:
-    """The length rounded up to a tenth: the stated accuracy is never better than the known one."""
-    return math.ceil(metres * 10.0 - 1e-9) / 10.0
 
 
 def geo_uri(mark: Mark) -> str:

@@ -14,7 +14,8 @@ from contract.answer import time_utc
 from contract.errors import InputError
 from ground.formats.mark import Mark
 from ground.formats.rounded import rounded_text
-from ground.pins.model import MAX_WHO
+from ground.pins.fusion import Contradiction, Fused
+from ground.pins.model import MAX_WHO, Pin
 from ground.web.context import ServerContext
 from ground.web.dependency import Context
 from ground.web.report_map import report_map
@@ -39,13 +40,14 @@ router = APIRouter(tags=["hand-off and export"])
 @router.get("/report", summary="A report of the search as one HTML file", response_class=Response)
 def report(context: Context, who: Annotated[str, Query(max_length=MAX_WHO)] = "") -> Response:
     seen, found = _counted(context)
-    marks = [Mark.of_pin(pin, context.places.place(pin)) for pin in context.store.pins()]
+    pins = context.store.pins()
+    marks = [_marks(pin, place) for pin, place in zip(pins, context.places.of(pins), strict=True)]
     paths = {vehicle: _path(context, vehicle) for vehicle in context.source.vehicles()}
-    placed = [mark for mark in marks if mark.is_placed]
+    placed = [mark for of_pin in marks for mark in of_pin if mark.is_placed]
     drawing = report_map(placed, list(paths.values()), lambda z, x, y: context.seen_map.tile(z, x, y, "count"))
     name = f"search-{time.strftime('%Y%m%d-%H%MZ', time.gmtime())}.html"
     made = f"made {_moment(time_utc(time.time_ns()))}{f' by {who}' if who else ''}, from {context.source.name}"
-    authors = sorted({click.who for pin in context.store.pins() for click in pin.clicks if click.who})
+    authors = sorted({click.who for pin in pins for click in pin.clicks if click.who})
     content = "".join(
         (
             '<!doctype html><html lang="en"><meta charset="utf-8"><title>Report of the search</title>',
@@ -83,21 +85,31 @@ def _path(context: ServerContext, vehicle: str) -> list[tuple[float, float]]:
     return [(place[0], place[1]) for s in sets if s is not None and (place := camera_place(s)) is not None]
 
 
-def _pins(context: ServerContext, marks: Sequence[Mark]) -> str:
+def _marks(pin: Pin, place: Fused) -> list[Mark]:
+    """The pin, and, where its clicks contradict each other, the place of each."""
+    return [Mark.of_pin(pin, found) for found in (place, *(place.answers if isinstance(place, Contradiction) else ()))]
+
+
+def _pins(context: ServerContext, marks: Sequence[Sequence[Mark]]) -> str:
     if not marks:
         return "<p>None.</p>"
     rows = []
-    for mark in marks:
-        where = f"<span class=muted>{_text(mark.accuracy_text)}</span>"
-        if mark.is_placed:
-            texts = "<br>".join(_text(text) for text in _coordinates(mark))
-            where = f"<span class=big>{texts}</span><br>{where}"
+    for of_pin in marks:
+        mark, where = of_pin[0], "<br>".join(_where(mark) for mark in of_pin)
         seen = _moment(mark.time_text) if mark.time_text else "not known"
         words = f"<b>{_text(mark.title)}</b><br>{_text(mark.category)}<br>{_text(mark.note)}"
         by = f"seen {_text(seen)}<br>marked by {_text(mark.who or 'no name given')}"
         rows.append(f"<tr><td>{_crop(context, mark)}</td><td>{words}</td><td>{where}</td><td>{by}</td></tr>")
     head = "<tr><th>Picture</th><th>What</th><th>Where (WGS84)</th><th>When and who</th></tr>"
     return f"<table>{head}{''.join(rows)}</table>"
+
+
+def _where(mark: Mark) -> str:
+    where = f"<span class=muted>{_text(mark.accuracy_text)}</span>"
+    if not mark.is_placed:
+        return where
+    texts = "<br>".join(_text(text) for text in _coordinates(mark))
+    return f"<span class=big>{texts}</span><br>{where}"
 
 
 def _coordinates(mark: Mark) -> Iterable[str]:

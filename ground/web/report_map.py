@@ -14,35 +14,42 @@ MOST_PX, LEAST_M = 760.0, 120.0  # the drawing's longer side, and the least that
 MARGIN = 0.12
 MOST_ZOOM = 21
 EARTH_M = 40_075_017.0
+ROUNDING_DEG = 1e-9
+MOST_LAT_DEG = 85.05  # where Web Mercator ends
 COLOURS = {"person": "#b3400a", "vehicle": "#0067a8", "fire": "#c1121f", "hazard": "#8a5a00", "poi": "#00735a"}
 LonLat = tuple[float, float]
 
 
 def report_map(marks: Sequence[Mark], paths: Sequence[Sequence[LonLat]], tile: Callable[[int, int, int], bytes]) -> str:
     """The SVG; empty where there is nothing to show. `tile`: PNG of what was seen at zoom, column and row."""
-    places = [(lon, lat) for lat, lon in (mark.position for mark in marks)] + [at for path in paths for at in path]
+    on_map = [mark for mark in marks if abs(mark.position[0]) <= MOST_LAT_DEG]
+    paths = [[at for at in path if abs(at[1]) <= MOST_LAT_DEG] for path in paths]
+    places = [(lon, lat) for lat, lon in (mark.position for mark in on_map)] + [at for path in paths for at in path]
     if not places:
         return ""
-    world = [_mercator(lon, lat) for lon, lat in places]
+    first_deg = _westernmost_deg([lon for lon, _ in places])
+    world = [_mercator(_eastwards_deg(first_deg, lon), lat) for lon, lat in places]
     middle_lat = sum(lat for _, lat in places) / len(places)
-    metre = 1.0 / (EARTH_M * math.cos(math.radians(middle_lat)))  # in parts of the world's width
     (left, right), (top, bottom) = ((min(axis), max(axis)) for axis in zip(*world, strict=True))
-    span = max(right - left, bottom - top, LEAST_M * metre) * (1.0 + 2.0 * MARGIN)
+    span = max(right - left, bottom - top, LEAST_M * _metre(middle_lat)) * (1.0 + 2.0 * MARGIN)
     zoom = min(int(math.log2(MOST_PX / (SIDE * span))) + 1, MOST_ZOOM)
     scale = MOST_PX / span
     x0, y0 = (left + right - span) / 2.0, (top + bottom - span) / 2.0
 
     def at(lon: float, lat: float) -> tuple[float, float]:
-        x, y = _mercator(lon, lat)
+        x, y = _mercator(_eastwards_deg(first_deg, lon), lat)
         return (x - x0) * scale, (y - y0) * scale
 
     parts = list(_tiles(zoom, x0, y0, span, scale, tile))
     for path in paths:
         points = " ".join(f"{x:.1f},{y:.1f}" for x, y in (at(*place) for place in path))
         parts.append(f'<polyline points="{points}" fill="none" stroke="#0a5fb4" stroke-width="1.5"/>')
-    for mark in marks:
-        parts.extend(_pin(mark, *at(mark.position[1], mark.position[0]), scale * metre))
-    parts.append(_bar(scale * metre))
+    for mark in on_map:
+        lat, lon = mark.position
+        parts.extend(_pin(mark, *at(lon, lat), scale * _metre(lat)))
+    parts.append(_bar(scale * _metre(middle_lat)))
+    if missing := len(marks) - len(on_map):
+        parts.append(f'<text x="18" y="20" font-size="13">{missing} beyond 85 degrees, where this map ends</text>')
     size = f"{MOST_PX:.0f}"
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {size} {size}" role="img" aria-label="map, north up">'
@@ -50,8 +57,26 @@ def report_map(marks: Sequence[Mark], paths: Sequence[Sequence[LonLat]], tile: C
     )
 
 
+def _westernmost_deg(lon_deg: Sequence[float]) -> float:
+    """The longitude from which all others are reached eastwards soonest, also over the 180th meridian."""
+    around = sorted(lon % 360.0 for lon in lon_deg)
+    gaps = [(lon - before) % 360.0 for lon, before in zip(around, [around[-1], *around[:-1]], strict=True)]
+    first = around[max(range(len(around)), key=gaps.__getitem__)]
+    return first if first < 180.0 else first - 360.0
+
+
+def _eastwards_deg(first_deg: float, lon_deg: float) -> float:
+    """A longitude from the first one on; what rounding has left of that is still there."""
+    return first_deg + (lon_deg - first_deg + ROUNDING_DEG) % 360.0 - ROUNDING_DEG
+
+
+def _metre(lat_deg: float) -> float:
+    """The length of a metre at a latitude, in parts of the world's width."""
+    return 1.0 / (EARTH_M * math.cos(math.radians(lat_deg)))
+
+
 def _mercator(lon: float, lat: float) -> tuple[float, float]:
-    """A place as parts of the world's width from its north-western corner."""
+    """A place as parts of the world's width from its north-western corner; beyond 1 it is the next world's."""
     y = math.asinh(math.tan(math.radians(lat)))
     return (lon + 180.0) / 360.0, (1.0 - y / math.pi) / 2.0
 
@@ -62,9 +87,9 @@ def _tiles(
     count = 1 << zoom
     side = scale / count
     out = []
-    for column in range(max(int(x0 * count), 0), min(int((x0 + span) * count), count - 1) + 1):
+    for column in range(math.floor(x0 * count), math.floor((x0 + span) * count) + 1):
         for row in range(max(int(y0 * count), 0), min(int((y0 + span) * count), count - 1) + 1):
-            data = base64.b64encode(tile(zoom, column, row)).decode()
+            data = base64.b64encode(tile(zoom, column % count, row)).decode()
             x, y = (column / count - x0) * scale, (row / count - y0) * scale
             place = f'x="{x:.2f}" y="{y:.2f}" width="{side:.2f}" height="{side:.2f}"'
             out.append(f'<image {place} href="data:image/png;base64,{data}"/>')

@@ -358,4 +358,4 @@ def test_others_files_are_read_too(tmp_path: Path) -> None:
 
 def test_a_mark_says_its_ellipse_for_people() -> None:
     mark = Mark("m", "m", "ok", lat_deg=1.0, lon_deg=2.0, ce90_m=5.04, ellipse=Ellipse(6.0, 3.0, 44.6))
-    assert mark.accuracy_text == "+-5.0 m (CE90), 90 % ellipse 6.0 x 3.0 m, long axis at 45 deg"
+    assert mark.accuracy_text == "+-5.1 m (CE90), 90 % ellipse 6.0 x 3.0 m, long axis at 45 deg"
