@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from contract.answer import CONFIDENCE, Ellipse
+from contract.answer import CONFIDENCE, Ellipse, time_utc
 from contract.geodesy import LocalFrame, geodetic_to_ecef, level_ground_m
 from contract.spot import Spot, SpotReport
 from ground.seen.outline import cells_inside, patches
@@ -92,7 +92,8 @@ class Fire:
         what = "fire" if self.has_temperature else "fire, or what the sun has warmed (no temperature is known),"
         return (
             f"{what} of {self.burned.area_m2:.0f} m2 (surely {self.surely.area_m2:.0f}, perhaps "
-            f"{self.perhaps.area_m2:.0f}), perimeter {self.burned.perimeter_m:.0f} m, {how}, {count}"
+            f"{self.perhaps.area_m2:.0f}), perimeter {self.burned.perimeter_m:.0f} m, {how}, {count}, "
+            f"last at {time_utc(self.last_unix_ns)}"
         )
 
 

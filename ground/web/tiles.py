@@ -26,6 +26,7 @@ MEDIA = {
 }
 _PMTILES_TYPE_AT, _VECTOR = 99, 1  # of the header's byte that specifies the tiles' type
 _PMTILES_ZOOMS_AT = 100  # two bytes; then west, south, east, north as little-endian 1e-7 degrees
+DEEPEST = 30  # zoom of any map
 _MERCATOR_LAT = 85.051129  # where the square map of the world ends
 Bounds = tuple[float, float, float, float]
 """West, south, east, north, in degrees."""
@@ -100,6 +101,8 @@ def _mbtiles(path: Path, attribution: str) -> Tiles:
         raise InputError(f"tiles {path}: not an MBTiles file ({error})") from error
     if most is None:
         raise InputError(f"tiles {path}: holds no tiles")
+    if not all(isinstance(n, int) for n in (least, most, *edges)) or not 0 <= least <= most <= DEEPEST:
+        raise InputError(f"tiles {path}: not an MBTiles file (its zooms, columns and rows are not those of a map)")
     kind = str(about.get("format", "png"))
     bounds = _stated_bounds(str(about.get("bounds", ""))) or _tiles_bounds(int(least), *edges)
     text = attribution or str(about.get("attribution", ""))[:300]
@@ -151,4 +154,5 @@ class MbTiles:
         query = "SELECT tile_data FROM tiles WHERE zoom_level = ? AND tile_column = ? AND tile_row = ?"
         with self._lock:
             found = self._base.execute(query, (z, x, (1 << z) - 1 - y)).fetchone()
-        return None if found is None else (bytes(found[0]), bytes(found[0][:2]) == _GZIP)
+        is_one = found is not None and isinstance(found[0], bytes)  # SQLite keeps anything in any column
+        return (found[0], found[0][:2] == _GZIP) if is_one else None

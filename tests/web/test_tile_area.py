@@ -29,7 +29,7 @@ from ground.web.context import ServerContext
 from ground.web.guard import Rules
 from ground.web.tile_area import TileArea, area_of
 from ground.web.tile_fetch import checked_tile
-from ground.web.tiles import open_tiles
+from ground.web.tiles import MbTiles, open_tiles
 from tests.waiting import eventually
 from tests.web.conftest import page_is_built
 from tests.web.flying import Flight
@@ -37,7 +37,7 @@ from tests.web.measured import SMALL, opened
 from tests.web.rendered import FlyingSource
 from tests.web.served import PageProgram
 from tests.web.test_base_map import share_drawn
-from tests.web.tile_files import REGION, rendered_tile, write_mbtiles
+from tests.web.tile_files import REGION, rendered_tile, write_mbtiles, write_region
 
 pytestmark = pytest.mark.xdist_group("web: a flight in motion")
 
@@ -330,6 +330,25 @@ def test_rows_that_count_from_the_south_are_where_they_belong(tmp_path: Path, th
         (tmp_path / "other").mkdir(exist_ok=True)
         with api(tmp_path / "other", f"{there.url}/map.json") as client:
             assert client.post("/api/tiles/plan", json=VIEW).status_code == 422
+
+
+@pytest.mark.parametrize("wrong", ["zoom_level = 'deep'", "zoom_level = -1", "zoom_level = 1 << 40", "tile_row = NULL"])
+def test_a_foreign_file_whose_tiles_are_of_no_map_is_refused(tmp_path: Path, wrong: str) -> None:
+    write_region(tmp_path / "a.mbtiles")
+    with sqlite3.connect(tmp_path / "a.mbtiles") as base:
+        base.execute(f"UPDATE tiles SET {wrong}")
+    with pytest.raises(InputError, match="not an MBTiles file"):
+        open_tiles(str(tmp_path / "a.mbtiles"))
+
+
+@pytest.mark.parametrize("content", ["'text'", "1000000000"])
+def test_what_is_no_tile_in_a_foreign_file_is_none(tmp_path: Path, content: str) -> None:
+    write_region(tmp_path / "a.mbtiles")
+    file = MbTiles(open_tiles(str(tmp_path / "a.mbtiles")))
+    assert file.tile(10, 935, 649) is not None
+    with sqlite3.connect(tmp_path / "a.mbtiles") as base:
+        base.execute(f"UPDATE tiles SET tile_data = {content}")
+    assert file.tile(10, 935, 649) is None
 
 
 def test_an_answer_that_never_comes_to_its_content_is_hung_up_on(monkeypatch: pytest.MonkeyPatch) -> None:

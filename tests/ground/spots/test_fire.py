@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
+from contract.answer import time_utc
 from contract.feature_set import FeatureSet
 from contract.geodesy import LocalFrame
 from contract.spot import Spot, SpotReport
@@ -219,6 +220,7 @@ def test_only_what_is_hot_enough_large_enough_and_of_the_last_minutes_burns() ->
     unknown.add(report(1, 1.0, replace(small, area_m2=50.0, outline_en_m=circle(4.0))))
     doubtful = unknown.fire(5.0)
     assert doubtful is not None and "sun has warmed" in doubtful.to_text() and "sun" not in fire.to_text()
+    assert fire.to_text().endswith(f"last at {time_utc(START_NS + 410 * 10**9)}")  # and not of now
 
 
 def test_of_very_many_pictures_some_are_taken_evenly_and_with_the_newest() -> None:
