@@ -152,20 +152,26 @@ def _listen(link: TrackLink, number: int | None, args: argparse.Namespace, kept:
 
 
 class _Silent:
-    """The tracks of which nothing comes any more: the last report, aged, twice a second until it is lost."""
+    """The tracks of which nothing comes any more: the last report, aged, twice a second until it is lost.
+
+    Who stood still does not know that nothing came: what waits by then is taken first.
+    """
 
     def __init__(self) -> None:
         self._last: dict[int, tuple[TrackReport, float]] = {}
-        self._passed_s = 0.0
+        self._passed_s = self._looked_s = 0.0
 
     def take(self, report: TrackReport, now_s: float) -> None:
         self._last[report.number] = report, now_s
 
     def passed(self, now_s: float, received: int | None) -> list[TrackReport]:
         """Return the reports that are due; `received`: the track that has just been reported."""
-        if now_s - self._passed_s < REPEATED_S:
+        stood_still, self._looked_s = now_s - self._looked_s > REPEATED_S, now_s
+        if not stood_still and now_s - self._passed_s < REPEATED_S:
             return []
-        self._passed_s, out = now_s, []
+        self._passed_s, out = now_s, list[TrackReport]()
+        if stood_still:
+            return out
         for number, (report, received_s) in list(self._last.items()):
             silent_s = now_s - received_s
             if number == received or silent_s <= track_age.SILENT_S:

@@ -18,6 +18,7 @@ from contract.track import Course, TrackReport, TrackState, Unseen
 from contract.wire.message import TRACK_REPORTS
 from contract.wire.track_code import decode_track, encode_track
 from ground.__main__ import main
+from ground.commands.track import _Silent
 from ground.formats import cot, track_path
 from ground.received_tracks import SILENT_S, ReceivedTracks
 from ground.recording import Recording
@@ -126,6 +127,19 @@ def test_where_reports_stop_the_lines_go_on_until_it_is_lost(
     widths = [line["ellipse"]["semi_major_m"] for line in (lines[2], silent[0])]
     assert silent[0]["state"] == "coasting" and widths[1] > widths[0]
     assert silent[-1]["state"] == "lost" and "lat_deg" not in silent[-1]
+
+
+def test_a_program_that_stood_still_says_of_no_track_that_nothing_came_before_it_has_looked() -> None:
+    """It was stopped for longer than a track may be silent, and the reports of that time wait for it."""
+    silent = _Silent()
+    times_s = [10.0, 10.2, 10.4, 11.8, 11.81, *np.arange(12.0, 15.0, 0.2).tolist()]
+    shown = []
+    for now_s in times_s:
+        shown += [(now_s, report.state) for report in silent.passed(now_s, None)]
+        if now_s in (10.0, 11.81):
+            silent.take(replace(REPORT, state=TrackState.FOLLOWED), now_s)
+    assert [state for _, state in shown][:: len(shown) - 1] == [TrackState.COASTING, TrackState.LOST]
+    assert 11.81 + 1.0 < shown[0][0] < 11.81 + 1.8 and len(shown) in (3, 4)
 
 
 def path_of(name: str) -> str:
