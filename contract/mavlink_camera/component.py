@@ -20,6 +20,7 @@ from contract.feature_set import Status
 from contract.mavlink_camera.end import Answered, CameraEnd, Clicked, Share, VideoClick, View, ViewQuestion
 from contract.mavlink_camera.messages import CameraFacts, words_of
 from contract.mavlink_camera.status_texts import StatusTexts
+from contract.track_age import SILENT_S
 
 NS_PER_S = 1_000_000_000
 FRAME_BYTES = 12  # of a packet, in addition to its payload
@@ -89,6 +90,7 @@ class MavlinkCamera:
         self._number = 0
         self._clicked: tuple[_Command, int] | None = None  # the last, and its result
         self._fix: Fix | None = None  # of the last click
+        self._fixed_ns = 0  # when it came
         self._is_fix_followed = False
         self._was_followed = self._is_view_asked = False
         self._intervals: dict[int, tuple[int, int]] = {}  # of a message: how long, and when it is due next
@@ -152,7 +154,7 @@ class MavlinkCamera:
         if wanted == FOV:
             return self._ask(command, ViewQuestion(self._next_number()), now_ns)
         if wanted == GEO:
-            found = self._geo_status()
+            found = self._geo_status(now_ns)
             if found is not None:
                 self._put(found)
             return BUSY if found is None else ACCEPTED
@@ -290,20 +292,22 @@ class MavlinkCamera:
                 self._fix = None
         else:
             result, self._fix, self._is_fix_followed = ACCEPTED, answer, clicked.is_followed
+            self._fixed_ns = now_ns
             self._put(self._facts.geo_of_fix(answer, is_followed=clicked.is_followed))
             not_followed = f"; not followed: {clicked.unfollowed}" if clicked.unfollowed else ""
             self._show(INFO, words_of(answer) + not_followed, now_ns)
         self._clicked = command, result
         self._acknowledge(command, result)
 
-    def _geo_status(self) -> Any | None:
+    def _geo_status(self, now_ns: int) -> Any | None:
         """The place of what is followed, else of what was clicked last; None without one, and of what was followed and
-        is not any more: it has left where it was clicked.
+        is not any more, or was not reported yet when it should have been: it has left where it was clicked.
         """
         report = self._end.followed()
         if report is not None:
             return self._facts.geo_of_track(report)
-        if self._fix is None or (self._is_fix_followed and not self._end.is_following):
+        is_overdue = now_ns - self._fixed_ns > SILENT_S * NS_PER_S
+        if self._fix is None or (self._is_fix_followed and (is_overdue or not self._end.is_following)):
             return None
         return self._facts.geo_of_fix(self._fix, is_followed=self._is_fix_followed)
 
@@ -316,7 +320,7 @@ class MavlinkCamera:
             if wanted == FOV:  # one at a time: clicks wait in the same queue
                 self._is_view_asked = self._is_view_asked or self._end.ask(ViewQuestion(0))
             elif wanted == GEO:
-                if (found := self._geo_status()) is not None:
+                if (found := self._geo_status(now_ns)) is not None:
                     self._put(found)
             else:
                 report = self._end.followed()

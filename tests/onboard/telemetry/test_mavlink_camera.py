@@ -215,8 +215,8 @@ def test_the_result_states_whether_a_later_click_may_succeed(status: Status, res
     assert virtual.results() == [] and len(virtual.end.asked) == 1
 
 
-@pytest.mark.parametrize("is_followed", [False, True])
-def test_a_place_is_stated_only_as_long_as_what_was_clicked_is_there(is_followed: bool) -> None:
+@pytest.mark.parametrize(("is_followed", "ends"), [(False, "refused"), (True, "lost"), (True, "never reported")])
+def test_a_place_is_stated_only_as_long_as_what_was_clicked_is_there(is_followed: bool, ends: str) -> None:
     """What was followed has left where it was clicked; a refused click has no place, least of all the last one's."""
     virtual = Virtual(FIX)
     virtual.end.is_following = is_followed
@@ -225,7 +225,8 @@ def test_a_place_is_stated_only_as_long_as_what_was_clicked_is_there(is_followed
     virtual.send(mavlink.MAVLink_command_long_message(1, 100, 512, 0, 276, 0, 0, 0, 0, 0, 0))
     assert [m.tracking_status for m in virtual.due() if m.get_type() == GEO] == [int(is_followed)]
     if is_followed:
-        virtual.end.is_following = False  # it is lost
+        virtual.end.is_following = ends == "never reported"
+        virtual.now_s += 1.1 if ends == "never reported" else 0.0
     else:
         virtual.end.answer = Refusal(Status.TURNING)
         virtual.click(0.4, 0.5)
