@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
 
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.answer import Ellipse, Place
-from contract.geodesy import LocalFrame, level_ground_m
+from contract.geodesy import LocalFrame, geodetic_to_ecef, level_ground_m
 from contract.spot import Spot, SpotReport
 from contract.track import REST_M_S, Course
 from contract.velocity import Velocity
@@ -28,6 +29,7 @@ UNSEEN_S = 20.0  # after which a moving thing may be anywhere
 SHORT_S = 3.0  # for which what stood may have begun to move
 SPEED_AFTER_S = 3.0  # of sightings, before a speed is reported
 EXTENT_SHARE = 0.2  # of a spot's radius: how much what is taken for its middle changes with the view, one sigma
+FRAME_REACH_M, MOST_FRAMES = 100_000.0, 64  # where a plane is true to centimetres and a degree
 MOST_THINGS, MOST_KEPT_SPOTS = 2000, 60  # and as many that were the best once
 
 
@@ -36,6 +38,7 @@ class _Thing:
     """A thing with its spots and, by session, the filter in which it stands and the one in which it moves."""
 
     number: int
+    frame: LocalFrame  # of its places
     still: dict[Session, Motion] = field(default_factory=dict)
     moving: dict[Session, Motion] = field(default_factory=dict)
     spots: list[SeenSpot] = field(default_factory=list)
@@ -105,7 +108,7 @@ class SpotMerger:
     """Takes reports as they come; those of one session in the order of capture, an older one is passed over."""
 
     def __init__(self) -> None:
-        self._frame: LocalFrame | None = None
+        self._frames: deque[LocalFrame] = deque(maxlen=MOST_FRAMES)
         self._origin_ns = 0
         self._things: dict[int, _Thing] = {}
         self._newest_ns: dict[Session, int] = {}
@@ -122,13 +125,14 @@ class SpotMerger:
         self.pictures += 1
         placed = [(spot, spot.place) for spot in report.spots if spot.place is not None]
         self.unplaced += len(report.spots) - len(placed)
-        if placed and self._frame is None:
-            first = placed[0][1]
-            self._frame, self._origin_ns = LocalFrame(first.lat_deg, first.lon_deg, 0.0), report.capture_unix_ns
-        seen = [self._sighting(report, spot, place) for spot, place in placed]
+        if placed and not self._frames:
+            self._origin_ns = report.capture_unix_ns
+        frames = [self._frame(place) for _, place in placed]
+        seen = [self._sighting(report, *of, frame) for of, frame in zip(placed, frames, strict=True)]
         changed = []
-        for (spot, _), sighting, thing in zip(placed, seen, self._assigned(session, seen), strict=True):
-            found = thing or self._new()
+        assigned = self._assigned(session, frames, seen)
+        for (spot, _), frame, sighting, thing in zip(placed, frames, seen, assigned, strict=True):
+            found = thing or self._new(frame)
             found.take(session, sighting)
             _note(found, report, spot)
             changed.append(found)
@@ -139,9 +143,17 @@ class SpotMerger:
         """The things by number: all, or those of some numbers that are still kept."""
         return [self._value(self._things[n]) for n in sorted(self._things) if wanted is None or n in wanted]
 
-    def _sighting(self, report: SpotReport, spot: Spot, place: Place) -> Sighting:
-        assert self._frame is not None
-        east, north, _ = self._frame.to_enu(place.lat_deg, place.lon_deg, 0.0)
+    def _frame(self, place: Place) -> LocalFrame:
+        """The plane on which a place is: one that touches the earth so near that it is true there."""
+        there = geodetic_to_ecef(place.lat_deg, place.lon_deg, 0.0)
+        near = (frame for frame in self._frames if np.linalg.norm(frame.origin_ecef_m - there) < FRAME_REACH_M)
+        if (found := next(near, None)) is None:
+            found = LocalFrame(place.lat_deg, place.lon_deg, 0.0)
+            self._frames.append(found)
+        return found
+
+    def _sighting(self, report: SpotReport, spot: Spot, place: Place, frame: LocalFrame) -> Sighting:
+        east, north, _ = frame.to_enu(place.lat_deg, place.lon_deg, 0.0)
         extent_m2 = EXTENT_SHARE**2 * spot.area_m2 / math.pi
         C = place.ellipse.covariance_en_m2
         whole = C + extent_m2 * np.eye(2)
@@ -151,12 +163,12 @@ class SpotMerger:
         place_m = np.array([float(east), float(north)])
         return Sighting.of(at_s, place_m, whole, part * report.picture_share, part * report.session_share)
 
-    def _assigned(self, session: Session, seen: list[Sighting]) -> list[_Thing | None]:
+    def _assigned(self, session: Session, frames: list[LocalFrame], seen: list[Sighting]) -> list[_Thing | None]:
         """Each spot's thing, nearest first, no thing twice: two spots of one picture are two things. (26.9)"""
         pairs = [
             (thing.distance2(session, sighting), k, thing.number)
-            for k, sighting in enumerate(seen)
-            for thing in self._near(session, sighting)
+            for k, (frame, sighting) in enumerate(zip(frames, seen, strict=True))
+            for thing in self._near(session, frame, sighting)
         ]
         out: list[_Thing | None] = [None] * len(seen)
         taken: set[int] = set()
@@ -168,17 +180,19 @@ class SpotMerger:
                 taken.add(number)
         return out
 
-    def _near(self, session: Session, seen: Sighting) -> Iterable[_Thing]:
+    def _near(self, session: Session, frame: LocalFrame, seen: Sighting) -> Iterable[_Thing]:
         """Yield the things within any reach: of thousands few are looked at closely."""
         reach_m = 6.0 * math.sqrt(float(np.linalg.eigvalsh(seen.covariance_m2)[-1])) + 50.0
         for thing in self._things.values():
+            if thing.frame is not frame:
+                continue
             held = thing.still.get(session) or thing.still[thing.last]
             if float(np.max(np.abs(held.place_m - seen.place_m))) < reach_m or thing.has_moved:
                 yield thing
 
-    def _new(self) -> _Thing:
+    def _new(self, frame: LocalFrame) -> _Thing:
         self._count += 1
-        made = self._things[self._count] = _Thing(self._count)
+        made = self._things[self._count] = _Thing(self._count, frame)
         return made
 
     def _forget(self) -> None:
@@ -188,9 +202,9 @@ class SpotMerger:
             del self._things[least.number]
 
     def _value(self, t: _Thing) -> FoundThing:
-        assert self._frame is not None and t.best is not None and t.newest is not None
+        assert t.best is not None and t.newest is not None
         (east, north), covariance = t.merged()
-        lat, lon, _ = (float(c) for c in self._frame.to_geodetic((east, north, float(level_ground_m(east, north)))))
+        lat, lon, _ = (float(c) for c in t.frame.to_geodetic((east, north, float(level_ground_m(east, north)))))
         spot, where = t.best
         named = max(t.likely.values(), key=lambda one: one.log_odds, default=None)
         known = t.newest.place

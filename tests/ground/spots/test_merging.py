@@ -96,6 +96,21 @@ def test_two_spots_too_far_apart_for_standing_are_one_that_goes_and_it_is_where_
     assert np.hypot(*offset_m(found.place, (7.0, 0.0))) < 0.5 and found.course is None
 
 
+def test_a_thing_is_where_it_is_wherever_on_earth_the_first_one_was() -> None:
+    """Without a fix an autopilot may state a place near 0, 0."""
+    merger, spot = SpotMerger(), spot_at(30.0, -40.0, covariance(1.6, 1.2, 30.0))
+    assert spot.place is not None
+    places = [(0.0, 0.0), (43.5, -7.5), (spot.place.lat_deg, spot.place.lon_deg)]
+    for number, (lat_deg, lon_deg) in enumerate(places):
+        there = replace(spot, place=replace(spot.place, lat_deg=lat_deg, lon_deg=lon_deg))
+        for frame in (2 * number, 2 * number + 1):
+            merger.add(SpotReport(1, frame, START_NS + frame * 10**9, True, (there,), 0, 0.8, 0.6, "uav-1"))
+        found = merger.things()
+        assert [thing.pictures for thing in found] == [2] * (number + 1)
+        assert found[-1].place.lat_deg == pytest.approx(lat_deg, abs=1e-7)
+        assert found[-1].place.lon_deg == pytest.approx(lon_deg, abs=1e-7)
+
+
 def test_two_people_5_m_apart_are_two() -> None:
     for seed in range(6):
         found = merged(standing((0.0, 0.0), (5.0, 0.0)), 25, flight(seed))
