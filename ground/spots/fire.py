@@ -27,7 +27,7 @@ Ring = list[tuple[float, float]]
 HOT_C = 60.0  # above it a calibrated spot burns: no ground that the sun alone has warmed is so hot
 HOT_M2 = 2.0  # without calibration: smaller hot spots are no fire
 MOST_OUTLINES, MOST_CELLS, LEAST_CELL_M = 20_000, 300, 0.1
-CELLS_OF_AN_ERROR = 8.0  # that the shortest half axis of an ellipse is long at most: finer shows no more
+CELLS_OF_AN_ERROR = 6.0  # that the shortest half axis of an ellipse is long at most: finer shows no more
 MOST_PICTURES = 100  # of more pictures so many, evenly: the next one adds little
 SMOOTHED = 4  # cells to either side, over which an outline's steps are averaged
 ONE_PLACE = 3.0  # reaches of two outlines, within which they are of one place: a front that moves on is of one
@@ -204,6 +204,8 @@ class _Grid:
         """
         ring = (region.ring_m - self.corner_m) / self.cell_m
         out = np.zeros((self.rows, self.columns), bool)
+        if np.min(np.ptp(region.ring_m, axis=0)) < -2.0 * by * region.ellipse.semi_minor_m:
+            return out  # narrowed by more than it is wide
         # Only about it: a large fire is many small outlines.
         reach = abs(by) * region.ellipse.semi_major_m / self.cell_m + 3.0
         x0, y0 = np.maximum(np.floor(ring.min(axis=0) - reach), 0).astype(int)
