@@ -1,10 +1,17 @@
-"""The pictures of the page in docs: `python -m tests.web.screenshots` flies, marks four things, and takes them."""
+"""The pictures of the page in docs: `python -m tests.web.screenshots` flies, does what they show, and takes them.
+
+    python -m tests.web.screenshots [pins] [look] [follow] [heat]
+
+Of all, or of those that are named.
+"""
 
 from __future__ import annotations
 
+import argparse
 import io
 import shutil
 import sys
+from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -20,6 +27,7 @@ from ground.web.guard import Rules
 from ground.web.recorded import RecordedSource
 from tests.web.browsing import Operator
 from tests.web.flying import Flight
+from tests.web.pictured_flights import Followed, heat, traffic
 from tests.web.served import ARGUMENTS, CHROMIUM, ROOT, Server, Simulated, recorded
 
 IMAGES = ROOT / "docs" / "images"
@@ -31,28 +39,42 @@ THINGS = (
     (498.0, 314.0, "4", "power line"),
     (120.0, 326.0, "5", "gate"),
 )
+CLICKED = 20, 343.0, 262.0  # a picture of `traffic`, and where its car is
 PHONE = {"viewport": {"width": 390, "height": 844}, "device_scale_factor": 4 / 3, "has_touch": True, "is_mobile": True}
 
 
 def main() -> int:
-    """0 once both pictures are written."""
+    """0 once the pictures are written."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", nargs="*", choices=list(TAKEN), default=list(TAKEN))
+    arguments = parser.parse_args()
     if CHROMIUM is None:
         print("no chromium; sudo apt-get install chromium", file=sys.stderr)
         return 2
     with TemporaryDirectory() as name, sync_playwright() as playwright:
-        folder = Path(name)
-        simulated = recorded()
-        alone = shutil.copy(simulated.path, folder / "flight.mcap")  # without the picture that refuses
-        server = Server("--from", alone, "--pins", folder / "pins.sqlite")
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
         try:
-            on_a_laptop(browser, server, simulated)
-            on_a_phone(browser, server, simulated)
-            before_the_camera_turns(browser, simulated, folder)
+            for what in arguments.what:
+                folder = Path(name) / what
+                folder.mkdir()
+                TAKEN[what](browser, folder)
         finally:
             browser.close()
-            server.close()
     return 0
+
+
+def alone(folder: Path) -> tuple[Path, Simulated]:
+    """A copy of the recording that the tests share, without the picture that refuses."""
+    simulated = recorded()
+    return Path(shutil.copy(simulated.path, folder / "flight.mcap")), simulated
+
+
+def with_pins(browser: Any, folder: Path) -> None:
+    """On a laptop and on a phone."""
+    path, simulated = alone(folder)
+    with closing(Server("--from", path, "--pins", folder / "pins.sqlite")) as server:
+        on_a_laptop(browser, server, simulated)
+        on_a_phone(browser, server, simulated)
 
 
 def on_a_laptop(browser: Any, server: Server, simulated: Simulated) -> None:
@@ -99,10 +121,11 @@ class Turning(RecordedSource):
         return vars(Offer("ab", fix.lat_deg, fix.lon_deg, fix.height_amsl_m, request.radius_m, 0.4))
 
 
-def before_the_camera_turns(browser: Any, simulated: Simulated, folder: Path) -> None:
+def before_the_camera_turns(browser: Any, folder: Path) -> None:
     """The question whether a camera is to look at a van."""
+    path, simulated = alone(folder)
     rules = Rules("operators-token-1234", pointer_token="pointers-token-1234")
-    source = Turning(folder / "flight.mcap")
+    source = Turning(path)
     with (
         closing(source),
         Flight(folder / "more.sqlite", rules=rules, token=rules.pointer_token, source=source) as flight,
@@ -115,6 +138,52 @@ def before_the_camera_turns(browser: Any, simulated: Simulated, folder: Path) ->
         cleo.page.wait_for_timeout(2000.0)
         save(cleo.page.screenshot(), "look_there.jpg")
         cleo.context.close()
+
+
+def a_car_is_followed(browser: Any, folder: Path) -> None:
+    """A car that was clicked and followed by hand, some seconds later."""
+    path = traffic(folder)
+    with closing(Followed(path)) as source, Flight(folder / "pins.sqlite", source=source) as flight:
+        anna, simulated = Operator(browser, flight), Simulated(path)
+        anna.show(CLICKED[0], simulated)
+        anna.click(*CLICKED[1:])
+        anna.by("follow-it").click()
+        anna.by("track-words").wait_for()
+        anna.show(simulated.newest - 8, simulated)
+        anna.page.locator("[data-testid=track-box][data-phase=followed]").wait_for()
+        save_page(anna, "follow.jpg")
+
+
+def finds_and_a_fire(browser: Any, folder: Path) -> None:
+    """What a machine found in heat, to be confirmed by a person; and where it burns, on the map."""
+    path = heat(folder)
+    with closing(Server("--from", path, "--pins", folder / "pins.sqlite")) as server:
+        anna, simulated = Operator(browser, server), Simulated(path)
+        anna.show(simulated.frames[len(simulated.frames) // 2], simulated)
+        anna.by("found").first.wait_for()
+        anna.page.get_by_role("button", name="Both", exact=True).click()
+        save_page(anna, "finds.jpg", is_last=False)
+        anna.page.get_by_role("button", name="Map", exact=True).click()
+        anna.by("layers").click()
+        anna.by("show-fire").click()
+        anna.page.keyboard.press("Escape")
+        anna.page.wait_for_function(
+            "() => document.querySelector('[data-testid=fire-words]').textContent.includes('perimeter')"
+        )
+        save_page(anna, "fire.jpg")
+
+
+def save_page(operator: Operator, name: str, *, is_last: bool = True) -> None:
+    """Once the map shows it all, which may rest for four seconds before."""
+    operator.page.wait_for_timeout(6000.0)
+    save(operator.page.screenshot(), name)
+    if is_last:
+        operator.context.close()
+
+
+TAKEN: dict[str, Callable[[Any, Path], None]] = {
+    "pins": with_pins, "look": before_the_camera_turns, "follow": a_car_is_followed, "heat": finds_and_a_fire,
+}  # fmt: skip
 
 
 def save(png: bytes, name: str) -> None:

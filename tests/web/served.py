@@ -76,19 +76,9 @@ def record(folder: Path) -> None:
         terrain=TerrainSpec(relief_m=20.0, wavelength_m=250.0),
         level_ground=True,
     )
-    flight = simulated(spec)
-    folder.mkdir(parents=True, exist_ok=True)
-    config = folder / "config.toml"
-    config.write_text((flight / "config.toml").read_text() + '\n[recording]\npictures = "jpeg"\n')
     first = folder / "parts" / "flight.001.mcap"
-    first.parent.mkdir()
-    done = subprocess.run(
-        [sys.executable, "-m", "onboard", "replay", "--config", config, "--frames", flight / "frames",
-         "--telemetry", flight / "telemetry.tlog", "--camera", flight / "camera.json",
-         "--stamps", flight / "stamps.csv", "--out", first],
-        capture_output=True, text=True, check=False, cwd=ROOT, timeout=120,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
+    first.parent.mkdir(parents=True)
+    replay(simulated(spec), first)
     recording = Recording(first)
     (vehicle,) = recording.vehicles
     last = recording.newest_picture(vehicle)
@@ -98,6 +88,25 @@ def record(folder: Path) -> None:
     )
     with SessionRecorder(folder / "parts" / "flight.002.mcap", vehicle, part=2) as out:
         out.write_set(refused)
+
+
+def replay(flight: Path, out: Path, *words: object) -> None:
+    """Replay a simulated session into a recording that keeps its pictures; `words`: what else the command is told."""
+    config = out.with_suffix(".toml")
+    config.write_text((flight / "config.toml").read_text() + '\n[recording]\npictures = "jpeg"\n')
+    onboard(
+        "replay", "--config", config, "--frames", flight / "frames", "--telemetry", flight / "telemetry.tlog",
+        "--camera", flight / "camera.json", "--stamps", flight / "stamps.csv", "--out", out, *words,
+    )  # fmt: skip
+
+
+def onboard(*words: object) -> None:
+    """A command of `pc-onboard` that succeeds."""
+    done = subprocess.run(
+        [sys.executable, "-m", "onboard", *map(str, words)],
+        capture_output=True, text=True, check=False, cwd=ROOT, timeout=300,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
 
 
 class PageProgram:
