@@ -62,3 +62,6 @@ def test_the_ellipses_of_tracks_hold_nine_errors_of_ten() -> None:
     inside, _, mean = found_coverage.share_inside([one.tracks for one in simulated])
     assert sum(len(one.tracks) for one in simulated) > 30 * FLIGHTS
     assert 0.76 < inside < 0.995 and 0.5 < mean < 1.5
+    for errors in ([one.speeds for one in simulated], [one.courses for one in simulated]):
+        inside, _, mean = found_coverage.share_inside(errors, 1)
+        assert sum(map(len, errors)) > 30 * FLIGHTS and 0.85 < inside < 1.0 and 0.2 < mean < 1.5

@@ -50,8 +50,9 @@ CLIMB_SHARE = 0.12  # of its size, from where what has changed is likeliest to w
 CHAIN_PX2 = 0.01  # variance of a step of the ground, and of what a walking thing does within one
 # So many times as large as it was: something else is there too, and one sigma of its place is that share of its size.
 MERGED, MERGED_SHARE = 1.2, 0.6
-# One sigma of the middle of what differs, as a share of its size; more of a large thing, which moves over itself.
-SPREAD, LARGE_PX = 0.06, 8.0
+# One sigma of the middle of what differs, as a share of its size, at first; more of a large thing, which moves over
+# itself. And the share that each picture adds to what is learned of it.
+SPREAD, LARGE_PX, MIDDLE_LEARNED = 0.06, 8.0, 0.1
 # Where nothing has changed by more than so much, and the thing looks elsewhere better by at most so much, it stands.
 UNCHANGED, STILL_LIKENESS, STILL_SIGMA_PX = 0.1, 0.05, 0.3
 
@@ -111,6 +112,7 @@ class Follower:
         self._cov = np.diag([CLICK_SIGMA_PX**2] * 2 + [fastest**2] * 2)
         self._looks: list[Look] = []
         self._spread = USUAL_SPREAD  # of its own grey levels, from picture to picture
+        self._middle_share = 0.0  # of its size: one sigma of the middle of what differs, once that was learned
         self._rest = self._uv.copy()  # where it is if it has stood since it was last seen to move
         self._stood, self._stood_ns = self._uv.copy(), clicked.stamp_ns if self._stands() else 0  # when it stood last
         self._as_stood, self._is_gone = clicked, False  # the last picture in which nothing had changed where it stands
@@ -374,8 +376,10 @@ class Follower:
             return matched, sigma
         centre, spread = self._centred(changed.surely, found.at(int(j), int(i)), patch)
         if spread >= MERGED_SHARE * self._size:
+            self._middle_share = MERGED_SHARE
             return place[j, i] + _peak(likeness, int(i), int(j)), spread
-        share = sigma**2 / (sigma**2 + spread**2)
+        share = sigma**2 / (sigma**2 + self._learn_middle(centre - matched, spread) ** 2)
+        # What both places are off by together is not learned by how far they are apart.
         return matched + share * (centre - matched), sigma * spread / float(np.hypot(sigma, spread))
 
     def _unless_away(self, changed: Change | None, uv: Array, sigma: float) -> tuple[Array, float] | None:
@@ -518,6 +522,15 @@ class Follower:
         sigma = float(np.sqrt(0.5 * np.trace(self._cov[2:, 2:])))
         is_known = self._size > LARGE_PX and float(np.hypot(*self._velocity)) > COURSE_SIGMAS * sigma
         return self._velocity if is_known else np.zeros(2)
+
+    def _learn_middle(self, off_px: Array, usual_px: float) -> float:
+        """Learn one sigma of the middle of what differs, by how far it is from where the thing looks most like itself,
+        as a share of its size; return it, px, or how far that is now, if that is more. `usual_px`: at first. (24.8)
+        """
+        before = self._middle_share or usual_px / self._size
+        variance = 0.5 * float(off_px @ off_px) / self._size**2
+        self._middle_share = float(np.sqrt(before**2 + MIDDLE_LEARNED * (variance - before**2)))
+        return max(self._middle_share, float(np.sqrt(variance))) * self._size
 
     def _learn_spread(self, seen: Seen, uv: Array, wanted: Wanted) -> None:
         """Learn by how much its grey levels differ from one picture to the next: from those that it was to have."""

@@ -1,10 +1,10 @@
 """Speed and course of a thing over the ground, from how it moves against the ground about it. (24.10) to (24.17)
 
-What is measured in a picture is the way from a piece of ground where the thing once was to the thing, both through the
-same picture's set: the pose's errors are the same at both ends and drop out but for how they stretch and turn the way,
-which `Locator.difference_covariance` states and no number of pictures averages. How much a thing accelerates, and how
-far the pictures' own errors are from what their sharpness suggests, is not assumed: several constants of each run side
-by side and are weighed by how well they predict.
+What is measured in a picture is the way from the piece of ground where the thing was seen before to the thing, both
+through the same picture's set: the pose's errors are the same at both ends and drop out but for how they stretch and
+turn the way, which `Locator.difference_covariance` states and no number of pictures averages. How much a thing
+accelerates, and how far the pictures' own errors are from what their sharpness suggests, is not assumed: several
+constants of each run side by side and are weighed by how well they predict, along its way and across it.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 # Spectral densities of the acceleration, m^2/s^3: a walker who goes straight, one who does not, a car in traffic and in
 # a bend.
 DENSITIES = (0.002, 0.02, 0.2, 2.0, 20.0)
-# Of the variances of a measurement and of the box's drift: a thing that is found exactly, and one hardly found.
+# Of the variance of a measurement: of a thing that is found exactly, and of one hardly found.
 SCALES = (1.0 / 64.0, 1.0 / 16.0, 0.25, 1.0)
 FORGET_S = 5.0  # over which it is forgotten how well each has predicted
 FIRST_SPEED_M_S = 12.0  # one sigma, of either component
@@ -58,7 +58,8 @@ class PlaneFilter:
         self._P = np.zeros((len(self._q), 5, 5))
         self._P[:, 2, 2] = self._P[:, 3, 3] = FIRST_SPEED_M_S**2
         self._P[:, 4, 4] = HEIGHT_SIGMA_M**2
-        self._log_weight = np.zeros(len(self._q))
+        self._log_weight = np.zeros((len(self._q), 2))  # along its way, and across it
+        self._axes = np.eye(2)  # unit vectors, rows: along its way, and across it
         self._shared = np.zeros((2, 2))
         self._missed = 0
         self.forget_place(slant, noise)
@@ -70,7 +71,7 @@ class PlaneFilter:
         self._x = self._x @ F.T
         self._P = F @ self._P @ F.T
         for i in (0, 1):
-            self._P[:, i, i] += self._q * dt**3 / 3.0 + self._scale * (DRIFT_PX * m_px) ** 2 * dt
+            self._P[:, i, i] += self._q * dt**3 / 3.0 + (DRIFT_PX * m_px) ** 2 * dt
             self._P[:, i, i + 2] += self._q * dt**2 / 2.0
             self._P[:, i + 2, i] += self._q * dt**2 / 2.0
             self._P[:, i + 2, i + 2] += self._q * dt
@@ -89,16 +90,16 @@ class PlaneFilter:
             self._missed += 1
             return False
         self._missed = 0
-        self._log_weight = math.exp(-dt / FORGET_S) * self._log_weight - 0.5 * (squared + np.log(np.linalg.det(S)))
+        spread = (self._axes @ S @ self._axes.T)[:, (0, 1), (0, 1)]
+        self._log_weight = math.exp(-dt / FORGET_S) * self._log_weight
+        self._log_weight -= 0.5 * ((off @ self._axes.T) ** 2 / spread + np.log(spread))
         K = np.linalg.solve(S, HP).transpose(0, 2, 1)
         left = np.eye(5) - K @ H
         self._x = self._x + (K @ off[..., None])[..., 0]
         self._P = left @ self._P @ left.transpose(0, 2, 1) + K @ R @ K.transpose(0, 2, 1)
-        return True
-
-    def new_landmark(self, way_m: Array) -> None:
-        """(24.15): ways count from where the thing was just seen, `way_m` (2,) from the old landmark."""
         self._x[:, :2] -= way_m
+        self._turn_axes()
+        return True
 
     def forget_place(self, slant: Array, noise: Array) -> None:
         """(24.15) where the old landmark was lost: the thing is seen at 0, so that its way is -h s; velocity and height
@@ -116,18 +117,28 @@ class PlaneFilter:
 
     def ahead(self, dt: float) -> Array:
         """Covariance (2, 2), m^2, of how far the thing will be from where its velocity takes it in `dt` seconds."""
-        return self.motion.cov * dt**2 + float(self._weights() @ self._q) * dt**3 / 3.0 * np.eye(2)
+        q = float(self._q @ self._weights()[:, 0])
+        return self.motion.cov * dt**2 + q * dt**3 / 3.0 * np.eye(2)
 
     def _weights(self) -> Array:
-        weights: Array = np.exp(self._log_weight - self._log_weight.max())
-        weights /= weights.sum()
-        return weights
+        """Of each model (M, 2): along its way, and across it. How it accelerates is the same for both. (24.14)"""
+        by_axis = np.exp(self._log_weight - self._log_weight.max(axis=0)).reshape(len(SCALES), len(DENSITIES), 2)
+        weights = (by_axis * by_axis.sum(axis=0)[:, ::-1]).reshape(-1, 2)
+        return np.asarray(weights / weights.sum(axis=0), float)
+
+    def _turn_axes(self) -> None:
+        """Along its way, as far as that is known, and across it."""
+        east, north = (self._weights() * (self._x[:, 2:4] @ self._axes.T)).sum(axis=0) @ self._axes
+        speed = math.hypot(east, north)
+        if speed > 0.0:
+            self._axes = np.array([[east, north], [north, -east]]) / speed
 
     @property
     def motion(self) -> Motion:
-        """All models' velocities, by weight."""
-        weights, v = self._weights(), self._x[:, 2:4]
-        mean = weights @ v
-        off = v - mean
-        cov = np.einsum("m,mij->ij", weights, self._P[:, 2:4, 2:4] + off[:, :, None] * off[:, None, :])
-        return Motion(np.asarray(mean, float), np.asarray(cov + self._shared, float))
+        """All models' velocities, by weight. (24.16)"""
+        weights, axes = self._weights(), self._axes
+        v = self._x[:, 2:4] @ axes.T
+        mean, root = (weights * v).sum(axis=0), np.sqrt(weights)
+        off = root * (v - mean)
+        cov = off.T @ off + (root[:, :, None] * (axes @ self._P[:, 2:4, 2:4] @ axes.T) * root[:, None, :]).sum(axis=0)
+        return Motion(np.asarray(mean @ axes, float), np.asarray(axes.T @ cov @ axes + self._shared, float))

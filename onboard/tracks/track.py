@@ -18,11 +18,8 @@ from onboard.tracks.plane_filter import Motion, PlaneFilter
 
 Array = NDArray[np.float64]
 
-LANDMARK_S = 2.0  # after which the ground that ways count from is chosen again
-STRETCH_S = 0.5  # age of a landmark from which on the way from it determines how poses stretch it
+STRETCH_S = 0.5, 2.0  # that the way back must take which determines how poses stretch it, and how long at most
 SCALE_S = 0.4  # after which it is looked up again how large a pixel is, and how poses stretch a way
-EDGE_SHARE = 0.08  # of the picture's size: a landmark so near to its edge is chosen again
-GROUND_SIGMA_PX = 0.1  # of where a landmark is in a picture
 FIRST_SPEED_S = 1.0  # that a thing has been measured for, before its speed is stated
 
 
@@ -35,8 +32,10 @@ class Track:
         self.follower = Follower(pictures, clicked, uv_px, _metres_a_pixel(locator, uv_px))
         self.clicked = clicked
         self._seen = clicked
-        self._landmark: Array | None = None  # where it is in the newest picture
-        self._landmark_ns = self._filtered_ns = self._first_ns = clicked.stamp_ns
+        # In the newest picture: the ground at which it was measured last, and that at which it was earlier; since when.
+        self._landmark: Array | None = None
+        self._behind: Array | None = None
+        self._behind_ns = self._filtered_ns = self._first_ns = clicked.stamp_ns
         self._filter: PlaneFilter | None = None
         # The newest picture that gives a place: what answers, for which pixel, the pixel's covariance (2, 2), m^2, and
         # when it was taken.
@@ -52,8 +51,7 @@ class Track:
         """The next picture; `locator` of its set, None if that gives no place."""
         before, self._seen = self._seen, seen
         H = self._pictures.between(before, seen)
-        if self._landmark is not None:
-            self._landmark = None if H is None else move(H, self._landmark[None])[0]
+        self._landmark, self._behind = (_carried(H, uv) for uv in (self._landmark, self._behind))
         is_gap = (seen.stamp_ns - before.stamp_ns) * 1e-9 > LOST_AFTER_S  # whatever is there now may be another thing
         self._observed = self.follower.passed_over(seen) if is_gap else self.follower.follow(seen)
         if self._observed.is_seen:
@@ -107,41 +105,34 @@ class Track:
         own = observed.sigma_px**2 * by_pixel @ by_pixel.T
         self._placed = locator, observed.uv_px, own, observed.seen.stamp_ns
         slant = offset[:2] / max(abs(float(offset[2])), 1.0)
-        noise = own + GROUND_SIGMA_PX**2 * by_pixel @ by_pixel.T + 1e-6 * np.eye(2)
+        noise = own + 1e-6 * np.eye(2)
         now = observed.seen.stamp_ns
         if self._filter is None:
             self._filter, self._first_ns, self._filtered_ns = PlaneFilter(slant, noise), now, now
-            self._choose_landmark(observed, None)
+            self._landmark = observed.uv_px
             return
         dt = (now - self._filtered_ns) * 1e-9
         self._filter.predict(dt, float(np.sqrt(abs(np.linalg.det(by_pixel)))))
         self._filtered_ns = now
         ground = marked[0] if marked else Status.OUTSIDE
-        if isinstance(ground, Status) or self._landmark is None:
+        if isinstance(ground, Status):
             self._filter.forget_place(slant, noise)
-            self._choose_landmark(observed, None)
+        elif not self._filter.update(offset[:2] - ground[:2], slant, noise, dt):
             return
-        way = offset[:2] - ground[:2]
-        if not self._filter.update(way, slant, noise, dt):
-            return
-        since_s = (now - self._landmark_ns) * 1e-9
-        if since_s >= STRETCH_S and now - self._stretched_ns > SCALE_S * 1e9:
+        self._landmark = observed.uv_px
+        self._stretch(observed, locator)
+
+    def _stretch(self, observed: Observation, locator: Locator) -> None:
+        """How poses stretch and turn the way that it has come recently. (24.16)"""
+        now, (least_s, most_s) = observed.seen.stamp_ns, STRETCH_S
+        since_s = (now - self._behind_ns) * 1e-9
+        if self._behind is None or since_s > most_s:
+            self._behind, self._behind_ns = observed.uv_px, now
+        elif since_s >= least_s and now - self._stretched_ns > SCALE_S * 1e9 and self._filter is not None:
             self._stretched_ns = now
-            stretch = locator.difference_covariance(observed.uv_px, self._landmark)
+            stretch = locator.difference_covariance(observed.uv_px, self._behind)
             if stretch is not None:
                 self._filter.stretched(stretch[:2, :2], since_s)
-        if since_s >= LANDMARK_S or self._is_near_edge(self._landmark):
-            self._choose_landmark(observed, way)
-
-    def _choose_landmark(self, observed: Observation, way_m: Array | None) -> None:
-        self._landmark, self._landmark_ns = observed.uv_px.copy(), observed.seen.stamp_ns
-        if way_m is not None and self._filter is not None:
-            self._filter.new_landmark(way_m)
-
-    def _is_near_edge(self, uv_px: Array) -> bool:
-        height, width = self._seen.image.shape
-        share = uv_px / (width - 1.0, height - 1.0)
-        return bool((share < EDGE_SHARE).any() or (share > 1.0 - EDGE_SHARE).any())
 
     def _place(self, motion: Motion | None) -> Place | None:
         """(24.18): the newest picture's place, and on by its velocity since."""
@@ -169,6 +160,11 @@ class Track:
             self._status = Status.UNCERTAIN
             return None
         return Place(lat, lon, fix.height_amsl_m, fix.height_ellipsoid_m, ellipse, fix.sigma_height_m)
+
+
+def _carried(H: Array | None, uv_px: Array | None) -> Array | None:
+    """Return where a pixel (2,) of a picture is in the next one; None if either is not known."""
+    return None if H is None or uv_px is None else np.asarray(move(H, uv_px[None])[0], float)
 
 
 def _metres_a_pixel(locator: Locator | None, uv_px: Array) -> float | None:

@@ -24,16 +24,20 @@ def run(
     declared: float = 1.0,
     lost_at_s: tuple[float, ...] = (),
     circles: bool = False,
+    noise_m: tuple[float, float] = (NOISE_M, NOISE_M),
+    drift_m: float = 0.0,
 ) -> tuple[Motion, np.ndarray]:
     """The filter's motion after so long, and the true velocity then. The camera flies over it at FLIGHT_M_S east.
 
-    `declared`: the sigma that the filter is given over the true one; `lost_at_s`: when the landmark is lost.
+    `declared`: the sigma that the filter is given over the usual one; `lost_at_s`: when the landmark is lost;
+    `noise_m`, east and north, and `drift_m`, over the root of a second: how what is followed deviates from the thing.
     """
     slant = np.array([0.0, ORBIT_SLANT] if circles else [-0.3, 0.1])
     noise = (declared * NOISE_M) ** 2 * np.eye(2)
     place, v = np.zeros(2), velocity.copy()
     found = PlaneFilter(slant, noise)
-    landmark = place + height_m * slant + NOISE_M * rng.standard_normal(2)
+    drift = np.zeros(2)
+    landmark = place + height_m * slant + noise_m * rng.standard_normal(2)
     for k in range(1, round(seconds / DT) + 1):
         v = v + np.sqrt(density * DT) * rng.standard_normal(2)
         place = place + v * DT
@@ -42,17 +46,14 @@ def run(
             slant = ORBIT_SLANT * np.array([-np.sin(turned), np.cos(turned)])
         else:
             slant = slant + np.array([-FLIGHT_M_S / HEIGHT_M * DT, 0.0])
-        seen = place + height_m * slant + NOISE_M * rng.standard_normal(2)
+        drift = drift + drift_m * np.sqrt(DT) * rng.standard_normal(2)
+        seen = place + drift + height_m * slant + noise_m * rng.standard_normal(2)
         found.predict(DT, 0.1)
         if any(abs(k * DT - at_s) < 0.5 * DT for at_s in lost_at_s):
             found.forget_place(slant, noise)
-            landmark = seen
-            continue
-        way = seen - landmark
-        assert found.update(way, slant, noise, DT)
-        if k % 20 == 0:
-            found.new_landmark(way)
-            landmark = seen
+        else:
+            assert found.update(seen - landmark, slant, noise, DT)
+        landmark = seen
     return found.motion, v
 
 
@@ -95,6 +96,35 @@ def test_a_measurement_that_is_better_than_declared_gives_a_speed_that_is(declar
     )
 
 
+@pytest.mark.parametrize(("noise_m", "declared"), rest_long([((0.08, 0.01), 2.0), ((0.01, 0.08), 2.0)]))
+def test_what_deviates_along_its_way_is_no_doubt_of_its_course_nor_across_it_of_its_speed(
+    noise_m: tuple[float, float], declared: float
+) -> None:
+    """As front and tail of a car do, which cover and uncover ground. Before, speed and course shared the mean of both,
+    and what the box drifts was taken for turns where its noise was small.
+    """
+    squared, sigmas = [], []
+    for seed in range(30):
+        rng = np.random.default_rng([seed, 11])
+        found, true = run(
+            rng, np.array([12.0, 0.0]), 8.0, density=0.2, declared=declared, noise_m=noise_m, drift_m=0.02
+        )
+        squared.append(((found.velocity_m_s - true) ** 2 / np.diag(found.cov)).tolist())
+        sigmas.append(np.sqrt(np.diag(found.cov)))
+    assert (np.mean(squared, axis=0) > 0.4).all() and (np.mean(squared, axis=0) < 1.5).all()
+    ratio = float(np.median(sigmas, axis=0)[0] / np.median(sigmas, axis=0)[1])
+    assert 1.3 < (ratio if noise_m[0] > noise_m[1] else 1.0 / ratio) < 4.0
+
+
+def test_what_a_box_drifts_over_a_thing_is_as_much_however_exactly_it_is_found() -> None:
+    """Scaled with the noise it was too little for what is found exactly, and turns were taken for its cause. (24.12)"""
+    fine, coarse = (PlaneFilter(np.zeros(2), 1e-4 * np.eye(2)) for _ in range(2))
+    fine.predict(0.5, 0.1)
+    coarse.predict(0.5, 0.2)
+    more = np.diagonal(coarse._P - fine._P, axis1=1, axis2=2)
+    assert np.allclose(more[:, :2], 0.2**2 * (0.2**2 - 0.1**2) * 0.5) and np.allclose(more[:, 2:], 0.0)
+
+
 @pytest.mark.parametrize("height_m", rest_long([1.2, -1.2, 0.0]))
 def test_a_thing_at_rest_stays_at_rest_when_the_ground_that_ways_count_from_is_lost(height_m: float) -> None:
     """The place begins again at -h s (24.15): begun at zero, the height that a circling camera has learned by then
@@ -109,7 +139,7 @@ def test_a_thing_at_rest_stays_at_rest_when_the_ground_that_ways_count_from_is_l
         speeds.append(float(np.median([motion.speed_m_s for motion in motions])))
         squared += [float(m.velocity_m_s @ np.linalg.solve(m.cov, m.velocity_m_s)) for m in motions]
         assert not any(motion.is_moving for motion in motions)
-    assert max(speeds[1:]) < 1.3 * speeds[0] + 0.01
+    assert max(speeds[1:]) < 1.3 * speeds[0] + 0.02
     assert 0.1 < float(np.mean(squared)) < 2.6
 
 
@@ -122,7 +152,7 @@ def test_a_covariance_stays_one_when_the_ground_that_ways_count_from_is_lost(see
     for k in range(1, 80):
         slant = np.array([0.3, -0.2]) + 0.05 * rng.standard_normal(2) + np.array([-0.01 * k, 0.0])
         found.predict(DT, 0.1)
-        found.update(np.array([1.4 * k * DT, 0.0]) + NOISE_M * rng.standard_normal(2), slant, noise, DT)
+        found.update(np.array([1.4 * DT, 0.0]) + NOISE_M * rng.standard_normal(2), slant, noise, DT)
         if k % 7 == 0:
             found.forget_place(slant, noise)
         assert (np.linalg.eigvalsh(found._P) > -1e-9).all()
@@ -148,11 +178,12 @@ def test_a_thing_at_rest_is_called_moving_once_in_a_hundred_or_less() -> None:
 def test_what_all_poses_share_is_added_to_a_speed_and_never_averaged() -> None:
     rng = np.random.default_rng(4)
     found = PlaneFilter(np.zeros(2), NOISE_M**2 * np.eye(2))
-    sigmas = []
+    sigmas, before = [], np.zeros(2)
     for k in range(1, 301):
         found.predict(DT, 0.1)
         way = np.array([2.0 * k * DT, 0.0]) + NOISE_M * rng.standard_normal(2)
-        found.update(way, np.zeros(2), NOISE_M**2 * np.eye(2), DT)
+        found.update(way - before, np.zeros(2), NOISE_M**2 * np.eye(2), DT)
+        before = way
         found.stretched(0.05**2 * np.outer(way, way), k * DT)  # lengths are off by 5 %
         sigmas.append(found.motion.sigma_speed_m_s)
     assert sigmas[-1] > 0.1 and sigmas[10] > 1.2 * sigmas[-1]
@@ -167,9 +198,9 @@ def test_the_height_of_a_thing_is_no_speed_when_the_camera_passes_over_it() -> N
 
 def test_one_measurement_that_cannot_be_is_left_out_and_several_are_accepted() -> None:
     found = PlaneFilter(np.zeros(2), 1e-4 * np.eye(2))
-    for k in range(1, 60):
+    for _ in range(1, 60):
         found.predict(DT, 0.1)
-        found.update(np.array([1.0 * k * DT, 0.0]), np.zeros(2), 1e-4 * np.eye(2), DT)
+        found.update(np.array([1.0 * DT, 0.0]), np.zeros(2), 1e-4 * np.eye(2), DT)
     found.predict(DT, 0.1)
     assert not found.update(np.array([60.0, 60.0]), np.zeros(2), 1e-4 * np.eye(2), DT)
     assert found.motion.speed_m_s == pytest.approx(1.0, abs=0.1)

@@ -13,6 +13,8 @@ from benchmarks import manoeuvres
 from contract.answer import CHI2_2
 from contract.feature_set import Status
 from contract.track import MOST_TRACKS, TrackReport, TrackState, Unseen
+from onboard.tracks.follower import Follower
+from onboard.tracks.ground_steps import Pictures, Seen
 from onboard.tracks.looks import rotation
 from onboard.tracks.track_book import REPORT_LOST_S, TrackBook
 from tests.onboard.tracks.flat_world import M_PX, PLACE, RATE_HZ, SESSION, Crops, Leafy, Paved, Place, Thing, World, at
@@ -292,6 +294,19 @@ def test_what_leaves_the_picture_is_reported_to_have_left_it() -> None:
     world = World((car,))
     _, reported = fly(world, range(55), {1: car}, clicked=12)
     assert reported[1][40].unseen is Unseen.OFF_PICTURE and reported[1][54].state is TrackState.LOST
+
+
+def test_the_middle_of_what_differs_counts_by_how_well_it_has_kept_to_the_look() -> None:
+    """A car's was believed to 2.4 px and kept to 0.2: the box, which each remembered look moves on, drifted by 0.8 px
+    along the way.
+    """
+    image = np.random.default_rng(1).integers(0, 255, (120, 160)).astype(np.uint8)
+    pictures, seen = Pictures(), Seen(0, 0, image)
+    pictures.add(seen)
+    follower = Follower(pictures, seen, np.array([80.0, 60.0]))
+    learned = [follower._learn_middle(np.array([0.2, -0.2]), 2.4) for _ in range(50)]
+    assert 2.0 < learned[0] < 2.4 and learned[10] < 0.65 * learned[0] and 0.2 < learned[-1] < 0.4
+    assert follower._learn_middle(np.array([4.0, 0.0]), 2.4) > 2.5  # another thing has come close
 
 
 def test_twins_that_cross_keep_their_numbers() -> None:
