@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from onboard.foreign_clock.flight_parts import by_parts, overstated, resampled
 from onboard.foreign_clock.log_track import LogTrack
 from onboard.foreign_clock.motion_cost import MotionCost, MotionNoise
 from onboard.foreign_clock.picture_pairs import Pairs
@@ -28,6 +29,8 @@ NEAR_S = 1.0  # within which two offsets are the same minimum
 WIDEST_S = 1.1  # one sigma at most that the flight itself can resolve
 ASTRAY = 1e-3  # how likely what is stated is wrong altogether
 COARSE_PAIRS, KEPT = 40, 400  # in a first pass over all offsets, and how many of them all pairs judge then
+# One sigma of how much later than its path a nose turns: rms of 40 minutes of recorded autopilots, planes and copters.
+BEHIND_PATH_S = 0.2
 MISFIT = 6.0  # times the variance expected, from which on a log is not that of the pictures
 
 
@@ -84,32 +87,47 @@ def search(evidence: Evidence, stated: Stated | None) -> Clock | Unknown:
     best_s = float(offsets_s[np.argmin(costs)])
     reach_s = NEAR_S if stated is None else max(NEAR_S, 4.0 * stated.sigma_s)
     fine_s = best_s + np.arange(-reach_s, reach_s + FINE_S / 2, FINE_S)
-    fine, square = cost.of(fine_s)
-    dispersion = _dispersion(square[int(np.argmin(fine))])
-    mean_s, sigma_s = _estimate(cost, fine_s, dispersion)
-    far = np.abs(offsets_s - mean_s) > reach_s
-    rival = float(np.min(costs[far], initial=np.inf))
+    fit = cost.of(fine_s)
+    at = int(np.argmin(fit.total))
+    mean_s, sigma_s = _estimate(cost, fine_s, fit.dispersion(at))
+    far = np.abs(offsets_s - mean_s) > max(reach_s, 4.0 * sigma_s)
     if stated is not None and abs(mean_s - stated.offset_s) > reach_s:
         return _contradiction(stated, mean_s)
-    if rival - fine.min() < CLEAR * dispersion:
-        rival_s = float(offsets_s[far][np.argmin(costs[far])])
+    rival_s = _rival(cost, fit, offsets_s[far & np.isfinite(costs)], costs[far & np.isfinite(costs)])
+    if rival_s is not None:
         return Unknown(f"offsets of {mean_s:+.1f} s and {rival_s:+.1f} s fit equally")
     if sigma_s > WIDEST_S:
         return Unknown(f"nothing determines it better than +-{sigma_s:.1f} s")
-    if stated is None and not cost.is_consistent(square[int(np.argmin(fine))]):
+    if stated is None and not cost.is_consistent(fit.square[at]):
         return Unknown("the pictures do not move as the log does at any time of it")
-    return Clock(mean_s, sigma_s, cost.text(stated, square[int(np.argmin(fine))]))
+    return Clock(mean_s, sigma_s, cost.text(stated, fit.square[at]))
+
+
+def _rival(cost: _Cost, near: _Fit, offsets_s: Array, costs: Array) -> float | None:
+    """The likeliest of other offsets (s) that is not clearly worse than the best; None if all are. (28.8), (28.12)"""
+    if not len(offsets_s):
+        return None
+    kept = np.argsort(costs)[:KEPT]
+    fit, at = cost.of(offsets_s[kept]), int(np.argmin(near.total))
+    by_pairs, dispersion = by_parts(fit.pairs - near.pairs[at]), near.dispersion(at)
+    certain = by_pairs.sum(axis=1) / np.maximum(overstated(by_pairs), dispersion)
+    certain += (fit.others - near.others[at]) / dispersion
+    likeliest = int(np.argmin(certain))
+    return float(offsets_s[kept][likeliest]) if certain[likeliest] < CLEAR else None
 
 
 def _estimate(cost: _Cost, fine_s: Array, dispersion: float) -> tuple[float, float]:
-    """Mean and sigma of the offset, with the age of the log's positions estimated together with it. (28.9), (28.10)"""
-    age_sigma_s = cost.evidence.position_sigma_s
+    """Mean and sigma of the offset, with the age of the log's positions estimated together with it, or where these are
+    all that it has, by how much the nose follows the path. (28.9), (28.10)
+    """
+    age_sigma_s = cost.evidence.position_sigma_s if cost.evidence.track.has_attitude else BEHIND_PATH_S
     moments = _moments(cost, fine_s, dispersion)
     variance = moments.sigma_s**2 * cost.motion.stamp_inflation(moments.mean_s)
+    variance = max(variance, moments.scatter_s**2)
     variance += cost.evidence.stamp_sigma_s**2 / len(cost.evidence.moments_ns)  # of the stamps' mean, at least
     if age_sigma_s <= 0.0:
         return moments.mean_s, float(np.sqrt(variance))
-    younger, older = (_moments(cost.with_positions(age_s), fine_s, dispersion) for age_s in (-age_sigma_s, age_sigma_s))
+    younger, older = (_moments(cost.with_age(age_s), fine_s, dispersion) for age_s in (-age_sigma_s, age_sigma_s))
     # A parabola through the least costs at -1, 0 and 1 sigma of the age, and what is known of it beforehand.
     slope, curvature = 0.5 * (older.least - younger.least), older.least + younger.least - 2.0 * moments.least
     precision = 1.0 + max(0.5 * curvature, 0.0)
@@ -120,23 +138,27 @@ def _estimate(cost: _Cost, fine_s: Array, dispersion: float) -> tuple[float, flo
 
 @dataclass(frozen=True)
 class _Moments:
-    """The least cost, and mean and sigma (s) of the offset by all costs."""
+    """The least cost, mean and sigma (s) of the offset by all costs, and its scatter (s) by parts of the flight."""
 
     least: float
     mean_s: float
     sigma_s: float
+    scatter_s: float
 
 
 def _moments(cost: _Cost, fine_s: Array, dispersion: float) -> _Moments:
     """Return the moments by costs at these offsets, and then at offsets as close as the sigma found asks for."""
-    offsets_s, found = fine_s, _Moments(0.0, 0.0, 0.0)
+    offsets_s, found = fine_s, _Moments(0.0, 0.0, 0.0, 0.0)
     for _ in range(2):
-        costs = cost.of(offsets_s)[0] / dispersion
+        fit = cost.of(offsets_s)
+        costs = fit.total / dispersion
         likely = np.exp(-0.5 * (costs - costs.min()))
         mean_s = float(np.average(offsets_s, weights=likely))
         sigma_s = float(np.sqrt(np.average(np.square(offsets_s - mean_s), weights=likely)))
-        found = _Moments(float(costs.min()), mean_s, sigma_s)
-        offsets_s = mean_s + max(4.0 * sigma_s, 2.0 * FINE_S) * CLOSE
+        by_flight = resampled(offsets_s, by_parts(fit.pairs) / dispersion, fit.others / dispersion)
+        mean_s, scatter_s = (mean_s, 0.0) if by_flight is None else by_flight
+        found = _Moments(float(costs.min()), mean_s, sigma_s, scatter_s)
+        offsets_s = mean_s + max(4.0 * max(sigma_s, scatter_s), 2.0 * FINE_S) * CLOSE
     return found
 
 
@@ -159,6 +181,23 @@ def _offsets(evidence: Evidence, stated: Stated | None) -> Array:
     return np.unique(np.concatenate([everywhere, about]))
 
 
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """Costs of offsets: each pair's (T, K) with its squared sigmas, and what is no pair's (T,)."""
+
+    pairs: Array
+    square: Array
+    others: Array
+
+    @property
+    def total(self) -> Array:
+        out: Array = self.pairs.sum(axis=1) + self.others
+        return out
+
+    def dispersion(self, at: int) -> float:
+        return _dispersion(self.square[at])
+
+
 class _Cost:
     """All evidence of one flight at any offset. (28.7)"""
 
@@ -166,14 +205,17 @@ class _Cost:
         self.evidence, self._noise, self._stated = evidence, noise, stated
         self.motion = MotionCost(evidence.track, evidence.pairs, noise)
 
-    def with_positions(self, age_s: float) -> _Cost:
-        """The same where the log's positions are older than its attitudes by so much."""
-        return _Cost(replace(self.evidence, track=self.evidence.track.with_positions(age_s)), self._noise, self._stated)
+    def with_age(self, age_s: float) -> _Cost:
+        """The same where the log's positions are older than its attitudes by so much; of what has no attitude, where
+        the camera turns so much later than its path does.
+        """
+        track = self.evidence.track
+        moved = track.with_positions(age_s) if track.has_attitude else track.with_attitudes(age_s)
+        return _Cost(replace(self.evidence, track=moved), self._noise, self._stated)
 
-    def of(self, offsets_s: Array) -> tuple[Array, Array]:
-        """(T,) costs and the pairs' squared sigmas (T, K)."""
+    def of(self, offsets_s: Array) -> _Fit:
         fit = self.motion(offsets_s)
-        return fit.total.sum(axis=1) + self._others(offsets_s), fit.square
+        return _Fit(fit.total, fit.square, self._others(offsets_s))
 
     def everywhere(self, offsets_s: Array) -> Array:
         """(T,) costs; of many pairs some judge all offsets, and all of them the best; inf where they did not."""

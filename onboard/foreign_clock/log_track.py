@@ -56,6 +56,14 @@ class LogTrack:
         ]
         return replace(self, centre_enu_m=np.stack(columns[:3], axis=1), height_m=columns[3])
 
+    def with_attitudes(self, late_s: float) -> LogTrack:
+        """The same where the camera turns by so much later than it was taken to do."""
+        place = np.clip(np.arange(len(self.height_m)) - late_s * NS_PER_S / STEP_NS, 0, len(self.height_m) - 1)
+        left = np.minimum(place.astype(np.intp), max(len(self.height_m) - 2, 0))
+        share = (place - left)[:, None, None]
+        turned = self.R_cam_enu[:, left] * (1.0 - share) + self.R_cam_enu[:, left + 1] * share
+        return replace(self, R_cam_enu=turned, rate_rad_s=_rates(turned))
+
 
 def log_track(log: TelemetryLog, config: Config) -> LogTrack:
     """Sample a log; `config` states mount, gimbal and delays."""
@@ -63,7 +71,7 @@ def log_track(log: TelemetryLog, config: Config) -> LogTrack:
     moments_ns = np.arange(begin_ns, end_ns + 1, STEP_NS)
     centre_enu_m, height_m, has_take_off = _places(log, moments_ns + round(config.gps.latency_s * NS_PER_S))
     turned = None if config.solve.attitude == "none" else _attitudes(log, config, moments_ns)
-    R_enu_body = _by_path(centre_enu_m)[None] if turned is None else R_ENU_NED @ turned
+    R_enu_body = _by_path(centre_enu_m) if turned is None else R_ENU_NED @ turned
     mount = config.mount
     R_cam_enu = np.swapaxes(R_enu_body @ mount_rotation(mount.roll_deg, mount.pitch_deg, mount.yaw_deg), -1, -2)
     rates = _rates(R_cam_enu)
@@ -142,15 +150,18 @@ def _rates(R_cam_enu: Array) -> Array:
 
 
 def _by_path(centre_enu_m: Array) -> Array:
-    """R_enu_body (N, 3, 3) of a vehicle that heads where it flies and banks into its turns; nan while slow. (5.10)"""
+    """R_enu_body (2, N, 3, 3) of a vehicle that heads where it flies: it banks into its turns (5.10), or what carries
+    the camera stays level; nan while slow.
+    """
     reach = round(SMOOTH_S * NS_PER_S / STEP_NS / 2)
     velocity, acceleration = np.full_like(centre_enu_m, np.nan), np.full_like(centre_enu_m, np.nan)
     span_s = 2e-9 * reach * STEP_NS
     velocity[reach:-reach] = (centre_enu_m[2 * reach :] - centre_enu_m[: -2 * reach]) / span_s
     acceleration[reach:-reach] = (velocity[2 * reach :] - velocity[: -2 * reach]) / span_s
     velocity[np.hypot(velocity[:, 0], velocity[:, 1]) < SLOW_M_S] = np.nan
-    down = -(acceleration + [0.0, 0.0, GRAVITY_M_S2])
-    down /= np.linalg.norm(down, axis=1, keepdims=True)
-    ahead = velocity - np.sum(velocity * down, axis=1, keepdims=True) * down
-    ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
+    gravity = np.array([0.0, 0.0, GRAVITY_M_S2])
+    down = np.stack([-(acceleration + gravity), np.broadcast_to(-gravity, acceleration.shape)])
+    down /= np.linalg.norm(down, axis=-1, keepdims=True)
+    ahead = velocity - np.sum(velocity * down, axis=-1, keepdims=True) * down
+    ahead /= np.linalg.norm(ahead, axis=-1, keepdims=True)
     return np.stack([ahead, np.cross(down, ahead), down], axis=-1)

@@ -6,13 +6,13 @@ Public:
 - `autopilot_search`: `FoundAutopilot`, `candidates`, `is_slow`, `listen`
 - `factory`: `open_telemetry`
 - `geo_reader`: `GeoPlace`, `read_geo`
-- `log_clocks`: `REACH_S`
+- `log_clocks`: `BLOCKS`, `REACH_S`
 - `log_files`: `format_of`, `logs_among`, `read_log`, `read_logs`
 - `log_formats`: `SUFFIXES`
 - `mavlink_passage`: `SIGNATURE_BYTES`
 - `mp4_container`: `creation_ns`
 - `mrk_reader`: `read_mrk`
-- `own_video`: `another_length`
+- `own_video`: `another_length`, `began_ns`, `cut_sigma_s`, `extent_s`
 - `pointing`: `Pointing`
 - `read_options`: `ReadOptions`
 - `row_events`: `SIGMA_GEOID_M`, `SIGMA_PRESSURE_HEIGHT_M`

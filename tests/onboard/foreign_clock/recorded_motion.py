@@ -2,7 +2,7 @@
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -10,11 +10,14 @@ from numpy.typing import NDArray
 
 from contract.geodesy import LocalFrame
 from contract.rotations import exp_so3, mount_rotation
+from onboard.commands.camera_clock import BY_PATH_DEG
 from onboard.config.schema import parse_config
+from onboard.events.types import PositionFix
 from onboard.foreign_clock.clock_search import Evidence
 from onboard.foreign_clock.log_track import LogTrack, log_track
 from onboard.foreign_clock.motion_cost import MotionNoise
 from onboard.foreign_clock.picture_pairs import Pairs
+from onboard.telemetry.telemetry_log import TelemetryLog
 from onboard.telemetry.tlog_reader import read_tlog
 from simulation.flight import find_recording
 from simulation.trajectory import Pose, RecordedTruth
@@ -22,6 +25,7 @@ from simulation.trajectory import Pose, RecordedTruth
 Array = NDArray[np.float64]
 
 CONFIG = parse_config("[mount]\npitch_deg = -90.0\nsigma_deg = 5.0")
+WITHOUT_ATTITUDE = parse_config('[mount]\npitch_deg = -90.0\nsigma_deg = 5.0\n[solve]\nattitude = "none"')
 HALF_FIELD = np.array([0.55, 0.42])
 NOISE = MotionNoise(*np.radians([0.35, 1.2]), 0.5, 0.05, 0.03, 0.003, mount_rad=np.radians(5.0), height=0.3, focal=0.02)
 
@@ -36,10 +40,14 @@ class Camera:
 
 
 @cache
-def recorded(recording: str) -> tuple[LogTrack, RecordedTruth]:
-    """What is known by the log of a recording, and its truth."""
+def recorded(recording: str, by_path: bool = False) -> tuple[LogTrack, RecordedTruth]:
+    """What is known by the log of a recording, or by its positions alone, and its truth."""
     log_path, truth_path = find_recording(recording)
-    return log_track(read_tlog(log_path), CONFIG), RecordedTruth.read(truth_path)
+    log, truth = read_tlog(log_path), RecordedTruth.read(truth_path)
+    if not by_path:
+        return log_track(log, CONFIG), truth
+    positions = [replace(e, velocity_ned_m_s=None) for e in log.events if isinstance(e, PositionFix)]
+    return log_track(TelemetryLog.by_stamp(positions), WITHOUT_ATTITUDE), truth
 
 
 def evidence(
@@ -50,9 +58,12 @@ def evidence(
     camera: Camera = Camera(),
     seed: int = 0,
     jitter_s: float = 0.0,
+    by_path: bool = False,
 ) -> Evidence:
-    """Pictures at these seconds of a recording, by a clock that is ahead of the log's; `jitter_s` of each stamp."""
-    track, truth = recorded(recording)
+    """Pictures at these seconds of a recording, by a clock that is ahead of the log's; `jitter_s` of each stamp.
+    `by_path`: the log has positions alone.
+    """
+    track, truth = recorded(recording, by_path)
     epoch_s = float(truth.unix_time_s[0])
     origin = LocalFrame(float(truth.lat_deg[0]), float(truth.lon_deg[0]), 100.0)
     trajectory = truth.trajectory(origin, epoch_s, 0.0)
@@ -71,7 +82,8 @@ def evidence(
         *(np.array([each[i] for each in found]).reshape(-1, 4, 2) for i in (1, 2)),
     )
     shots_ns = [round((epoch_s + t) * 1e9) for t in shots_s]
-    return Evidence(track, stamps_ns, 0.03, pairs, [NOISE], shots_ns, 0.1)
+    noises = [replace(NOISE, tilt_rad=one, heading_rad=one) for one in np.radians(BY_PATH_DEG)] if by_path else [NOISE]
+    return Evidence(track, stamps_ns, 0.03, pairs, noises, shots_ns, 0.1)
 
 
 def _seen(first: Pose, second: Pose, camera: Camera, rng: np.random.Generator) -> tuple[Array, Array] | None:
