@@ -306,6 +306,7 @@ class Video:
         self._times_s = frame_times_s(path)  # the container's own, if it has any
         count = len(self._times_s) or count
         self.last_s = self._times_s[-1] if self._times_s else (count - 1) / rate_hz if rate_hz > 0.0 else 0.0
+        self.end_s = self.last_s + (1.0 / rate_hz if rate_hz > 0.0 else 0.0)
         found = (
             stamps_of_frames(stamps, count, self.path.name)
             if stamps is not None

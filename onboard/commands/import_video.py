@@ -36,7 +36,7 @@ from onboard.replay.runner import check_overlap
 from onboard.telemetry.log_files import read_logs
 from onboard.telemetry.log_formats import SUFFIXES
 from onboard.telemetry.mp4_container import creation_ns
-from onboard.telemetry.own_video import another_length
+from onboard.telemetry.own_video import another_length, began_ns, cut_sigma_s, extent_s
 from onboard.telemetry.telemetry_log import NS_PER_S, TelemetryLog
 from onboard.telemetry.transport_stream import has_metadata
 from onboard.telemetry.video_reader import has_telemetry, other_telemetry
@@ -82,14 +82,18 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError(f"{video}: no time stamps on its frames: give replay --stamps with index,unix_time_s")
     stamps_ns = None if arguments.stamps is None else stamps_of_frames(arguments.stamps, len(times_s), video.name)
     another = another_length(log, times_s[-1])
-    began = _beginning(video, log, another, arguments) if stamps_ns is None else _by_stamps(stamps_ns, arguments)
+    began = (
+        _beginning(video, log, began_ns(log, paths, video), another, arguments)
+        if stamps_ns is None
+        else _by_stamps(stamps_ns, arguments)
+    )
     optics = optics_of(size_px, _focal(log, paths, size_px), video.parent, settings)
     sections, mount = mount_by_log(log)
     rows = rolling_shutter(sections)
     moments_ns = stamps_ns or [began.unix_ns + round(time_s * 1e9) for time_s in times_s]
     assumed = [mount, rows]
+    config = parse_config(config_text(sections, settings))
     if log.video_epoch_ns is None or another or stamps_ns is not None:
-        config = parse_config(config_text(sections, settings))
         pictures = frames(video, times_s)
         is_given = arguments.start is None and arguments.clock_offset is not None
         stated = began.stated if began.is_own else against_log(began.stated, log, is_given)
@@ -100,6 +104,9 @@ def run(arguments: argparse.Namespace) -> int:
         moments_ns = [moment_ns + round(clock.offset_s * 1e9) for moment_ns in moments_ns]
         sections["camera"] |= {"sigma_latency_s": f"{clock.sigma_s:.3f}"}
         assumed.append(clock_row(clock))
+    elif (cut_s := cut_sigma_s(log, sum(extent_s(times_s) or ()))) > SIGMA_FRAME_S:
+        sections["camera"] |= {"sigma_latency_s": f"{math.hypot(config.camera.sigma_latency_s, cut_s):.3f}"}
+        assumed.append(("clock", f"+-{cut_s:.2f} s: shorter than its log; its beginning may have been cut off"))
     check_overlap(moments_ns, log)
     flight = ImportedFlight(arguments.out, video, tuple(paths), optics, ["index,unix_time_s"], sections)
     flight.stamps += [f"{index},{moment_ns / 1e9:.6f}" for index, moment_ns in enumerate(moments_ns)]
@@ -134,14 +141,16 @@ def _size(video: Path) -> tuple[int, int]:
     return size_px
 
 
-def _beginning(video: Path, log: TelemetryLog, another: str, arguments: argparse.Namespace) -> _Beginning:
+def _beginning(
+    video: Path, log: TelemetryLog, by_log_ns: int | None, another: str, arguments: argparse.Namespace
+) -> _Beginning:
     """Return the beginning by the subtitles, else as given, by the name, or by the file; `another`: in words, why the
     subtitles are not this video's, or not the whole of it. Raises InputError.
     """
-    if log.video_epoch_ns is not None and another:
-        return _Beginning(log.video_epoch_ns, another, _by_offset(arguments), is_own=True)
-    if log.video_epoch_ns is not None:
-        return _Beginning(log.video_epoch_ns, "as its log counts")
+    if by_log_ns is not None and another:
+        return _Beginning(by_log_ns, another, _by_offset(arguments), is_own=True)
+    if by_log_ns is not None:
+        return _Beginning(by_log_ns, "as its log counts")
     if log.video_began is not None and set(arguments.telemetry) <= {video} and arguments.start is None:
         began_ns, sigma_s = log.video_began
         source = "the times of the telemetry in it"

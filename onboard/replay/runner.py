@@ -12,7 +12,7 @@ import threading
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TextIO
@@ -31,7 +31,7 @@ from onboard.pipeline.estimates import as_rows
 from onboard.replay.digital_zoom import at_one_zoom, optical_zoom
 from onboard.replay.photo_telemetry import check_gaps, photo_telemetry
 from onboard.telemetry.log_files import read_logs
-from onboard.telemetry.own_video import another_length
+from onboard.telemetry.own_video import another_length, began_ns, cut_sigma_s
 from onboard.telemetry.read_options import ReadOptions
 from onboard.telemetry.srt_axis_order import Order
 from onboard.telemetry.telemetry_log import TelemetryLog
@@ -91,13 +91,17 @@ class Flight:
         stated = line.clock, home_amsl_m, gps_order, boot_unix_s, gimbal, line.system, config.gps.undulation_m
         log = read_logs(logs, ReadOptions(*stated))
         latency_s, in_colour = config.camera.latency_s, config.recording.pictures == "jpeg"
+        epoch_ns = began_ns(log, logs, frames)
         source = open_frames(
-            frames, camera, stamps, latency_s, whole, log.video_epoch_ns, max_rate_hz, in_colour, config.thermal.enabled
+            frames, camera, stamps, latency_s, whole, epoch_ns, max_rate_hz, in_colour, config.thermal.enabled
         )
         if stamps is None and isinstance(source, Video) and (why := another_length(log, source.last_s)):
             raise InputError(
                 f"frames {frames}: {why}: pc-onboard import-video searches when it began, or give --stamps"
             )
+        if stamps is None and isinstance(source, Video):
+            cut_s = cut_sigma_s(log, source.end_s)
+            log = replace(log, position_sigma_s=math.hypot(log.position_sigma_s, cut_s))
         zooms, words = optical_zoom(camera, log.focal_mm, log.digital_zoom, log.span_ns[1])
         camera, source = at_one_zoom(camera, source, log.digital_zoom)
         if words:

@@ -72,21 +72,51 @@ def tracks_of(path: Path) -> list[Track]:
             boxes = [] if moov is None else list(_boxes(stream, *moov))
             movie_hz = next((_rate_hz(_read(stream, (a, b))) for kind, a, b in boxes if kind == b"mvhd"), 0.0)
             tracks = [(a, b) for kind, a, b in boxes if kind == b"trak"]
-            late = next((found for track in tracks if (found := _late_s(stream, *track, movie_hz)) is not None), 0.0)
+            pictures_s = _first_picture_s(stream, boxes)
             for content in tracks:
-                if (track := _track(stream, *content, movie_hz, late)) is not None:
+                if (track := _track(stream, *content, movie_hz, pictures_s)) is not None:
                     out.append(track)
     except (OSError, IndexError, struct.error):
         return out
     return out
 
 
-def _late_s(stream: BinaryIO, start: int, end: int, movie_hz: float) -> float | None:
-    """Return when a track of pictures begins to be shown, s; None for another track."""
+def first_picture_s(path: Path) -> float:
+    """Return when the first picture of a file is shown on its own time, s: 0, unless an edit list begins with nothing,
+    or within a picture, which is then not shown. 0 of a file that is no such container.
+    """
+    try:
+        with path.open("rb") as stream:
+            moov = _first(stream, 0, path.stat().st_size, b"moov")
+            boxes = [] if moov is None else list(_boxes(stream, *moov))
+            return _first_picture_s(stream, boxes)
+    except (OSError, IndexError, struct.error):
+        return 0.0
+
+
+def _first_picture_s(stream: BinaryIO, boxes: list[Box]) -> float:
+    """Return when the first picture is shown, s, by the boxes of a movie."""
+    movie_hz = next((_rate_hz(_read(stream, (a, b))) for kind, a, b in boxes if kind == b"mvhd"), 0.0)
+    found = (_shown_from_s(stream, a, b, movie_hz) for kind, a, b in boxes if kind == b"trak")
+    return next((first_s for first_s in found if first_s is not None), 0.0)
+
+
+def _shown_from_s(stream: BinaryIO, start: int, end: int, movie_hz: float) -> float | None:
+    """Return when the first of a track of pictures is shown, s; None for another track."""
     try:
         media = dict(_inside(stream, start, end, b"mdia"))
-        is_of_pictures = _read(stream, media[b"hdlr"])[8:12] == b"vide"
-        return late_s(_edits(stream, start, end, movie_hz, 1.0)) if is_of_pictures else None
+        if (
+            _read(stream, media[b"hdlr"])[8:12] != b"vide"
+            or (media_hz := _rate_hz(_read(stream, media[b"mdhd"]))) < 1.0
+        ):
+            return None
+        table = dict(_inside(stream, *media[b"minf"], b"stbl"))
+        times_s = _times(_read(stream, table[b"stts"]), media_hz)
+        if b"ctts" in table:
+            times_s = times_s + _compositions_s(_read(stream, table[b"ctts"]), len(times_s), media_hz)
+        edits = _edits(stream, start, end, movie_hz, media_hz)
+        shown = shown_s(times_s, edits)
+        return float(np.nanmin(shown)) if np.isfinite(shown).any() else late_s(edits)  # its pictures are in fragments
     except (KeyError, ValueError, struct.error):
         return None
 
@@ -190,6 +220,15 @@ def _times(table: bytes, units_hz: float) -> NDArray[np.float64]:
         raise ValueError
     apart = np.repeat(pairs[:, 1], pairs[:, 0])
     return np.concatenate([[0], np.cumsum(apart)[:-1]]) / units_hz if len(apart) else np.zeros(0)
+
+
+def _compositions_s(table: bytes, count: int, units_hz: float) -> NDArray[np.float64]:
+    """By how much samples (N,) are shown after they are decoded (8.6.1.3), s; negative ones of version 1 too."""
+    (runs,) = struct.unpack_from(">I", table, 4)
+    pairs = np.frombuffer(table, ">i4", 2 * runs, 8).astype(np.int64).reshape(-1, 2)
+    if int(pairs[:, 0].sum()) != count or (pairs[:, 0] < 0).any():
+        raise ValueError
+    return np.repeat(pairs[:, 1], pairs[:, 0]) / units_hz
 
 
 def _sizes(table: bytes) -> NDArray[np.int64]:

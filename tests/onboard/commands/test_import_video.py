@@ -347,6 +347,30 @@ def test_subtitles_of_a_longer_video_are_on_a_clock_that_is_searched_or_stated(
     assert load_config_files(tmp_path / "flight" / "config.toml").camera.sigma_latency_s > 0.05
 
 
+@pytest.mark.parametrize(("begin_s", "first_s"), [(0.5, 0.0), (0.52, 0.08), (0.6, 0.0)])
+def test_of_a_video_cut_within_a_picture_the_next_is_shown_later(
+    tmp_path: Path, begin_s: float, first_s: float
+) -> None:
+    """It was taken to be shown at once: a picture too early, 33 ms of 30 a second."""
+    video = clip(tmp_path / "cut.mp4", 130)
+    show_from(video, begin_s, 12.0)
+    assert imported(tmp_path, video, "--telemetry", written(tmp_path, "srt")) == 0
+    first = (tmp_path / "flight" / "stamps.csv").read_text().splitlines()[1]
+    assert float(first.split(",")[1]) == pytest.approx(T0_S + first_s, abs=0.001)
+
+
+@pytest.mark.parametrize(("frames", "sigma_s"), [(120, 0.1), (116, 0.24)])
+def test_what_a_video_lacks_of_its_log_may_have_been_cut_off_its_beginning(
+    tmp_path: Path, frames: int, sigma_s: float, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Cuts below half a second were not noticed, 10 m at 20 m/s: 0 % of clicks within 90 %."""
+    video = clip(tmp_path / "cut.mp4", frames)
+    assert imported(tmp_path, video, "--telemetry", written(tmp_path, "srt")) == 0
+    camera = load_config_files(tmp_path / "flight" / "config.toml").camera
+    assert camera.sigma_latency_s == pytest.approx(sigma_s, abs=0.01)
+    assert ("its beginning may have been cut off" in capsys.readouterr().out) == (frames < 120)
+
+
 def test_a_lens_of_which_nothing_is_known_is_wide_and_open(tmp_path: Path) -> None:
     optics = optics_of((1640, 1232), None, tmp_path / "photos", {})
     assert not optics.is_known and optics.text.startswith(UNKNOWN) and "camera.fov_deg" in optics.text

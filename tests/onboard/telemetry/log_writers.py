@@ -10,7 +10,7 @@ import itertools
 import math
 import operator
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -413,9 +413,11 @@ def box(name: bytes, *content: bytes) -> bytes:
 
 def track(
     handler: bytes, kind: bytes, samples: list[bytes], starts_s: list[float], begin: int, about: bytes,
-    edits: bytes = b"",
+    edits: bytes = b"", later_s: Sequence[float] = (),
 ) -> bytes:  # fmt: skip
-    """A track whose samples lie one after the other from `begin` on; `about` describes them."""
+    """A track whose samples lie one after the other from `begin` on; `about` describes them; `later_s` is by how
+    much each is shown after it is decoded.
+    """
     apart = [round(1000 * (b - a)) for a, b in itertools.pairwise([*starts_s, starts_s[-1] + 1.0])][: len(samples)]
     places = list(itertools.accumulate(map(len, samples), initial=begin))[: len(samples)]
     table = box(
@@ -424,6 +426,8 @@ def track(
         box(b"stsc", struct.pack(">4xI3I", 1, 1, 1, 1)),
         box(b"stsz", struct.pack(f">4xII{len(samples)}I", 0, len(samples), *map(len, samples))),
         box(b"stco", struct.pack(f">4xI{len(places)}I", len(places), *places)),
+        box(b"ctts", struct.pack(">4xI", len(later_s)), *(struct.pack(">Ii", 1, round(1000 * t)) for t in later_s))
+        if later_s else b"",
     )  # fmt: skip
     media = box(b"mdhd", struct.pack(">12xIIxxxx", 1000, 0)), box(b"hdlr", b"\0" * 8, handler, b"\0" * 13)
     return box(b"trak", edits, box(b"mdia", *media, box(b"minf", table)))

@@ -13,10 +13,11 @@ from contract.errors import InputError
 from onboard.events.types import Attitude, GimbalAttitude, PositionFix
 from onboard.telemetry import exiftool_reader
 from onboard.telemetry.log_files import read_log
+from onboard.telemetry.mp4_container import first_picture_s
 from onboard.telemetry.telemetry_log import TelemetryLog, quaternion
 from tests.bench.image.host import install
 from tests.left_out import NO_PROGRAM
-from tests.onboard.telemetry.log_writers import box, gpmf, mp4
+from tests.onboard.telemetry.log_writers import box, gpmf, mp4, track
 
 BEGAN_NS = 1_780_308_000 * 10**9  # 2026-06-01 10:00:00
 SUBTITLE = "2026-06-01 10:00:0{0}.000 [latitude: 47.10000{0}] [longitude: 8.2] [rel_alt: 30.1 abs_alt: 501.3]"
@@ -97,6 +98,21 @@ def test_what_is_cut_off_a_video_is_cut_off_its_subtitles(
     assert log.video_epoch_ns is not None
     found = {round((fix.lat_deg - 47.1) * 1e6): (fix.stamp_ns - log.video_epoch_ns) / 1e9 for fix in fixes}
     assert found == pytest.approx(shown_s)
+
+
+@pytest.mark.parametrize(
+    ("later_s", "begin_s", "first_s"),
+    [((), 0.0, 0.0), ((), 1.2, 0.8), ((1.0, 3.0, 0.0, 0.0), 1.0, 0.0), ((1.0, 3.0, 0.0, 0.0), 1.5, 0.5)],
+)
+def test_the_first_picture_is_the_first_that_is_shown_in_whatever_order_they_lie(
+    tmp_path: Path, later_s: tuple[float, ...], begin_s: float, first_s: float
+) -> None:
+    """Pictures that others are decoded from lie before these: shown at 1, 4, 2, 3 s in the last two."""
+    of_video = edits((2.0, begin_s))
+    pictures = track(b"vide", b"avc1", [b"x"] * 4, [0.0, 1.0, 2.0, 3.0], 0, b"", of_video, later_s)
+    movie = box(b"moov", box(b"mvhd", struct.pack(">12xI84x", 1000)), pictures)
+    (tmp_path / "video.MP4").write_bytes(box(b"ftyp", b"mp42\0\0\0\0") + movie)
+    assert first_picture_s(tmp_path / "video.MP4") == pytest.approx(first_s)
 
 
 @pytest.mark.parametrize(
