@@ -85,6 +85,8 @@ def clock_of(
     age_sigma_s = loosened(config, log).gps.sigma_latency_s
     found = search(Evidence(track, moments_ns, stamp_sigma_s, pairs, noises, log.shots_ns, age_sigma_s), stated)
     if isinstance(found, Unknown):
+        if found.advice:
+            raise InputError(f"clock: {found.reason}. {found.advice}")
         hint = LOCAL_ADVICE if log.utc_sigma_s is None else ADVICE
         raise InputError(f"clock: {found.reason}: by how much the camera's is off is not known. {hint}{advice}")
     return found

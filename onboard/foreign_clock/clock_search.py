@@ -23,9 +23,11 @@ from onboard.telemetry.log_clocks import REACH_S
 
 Array = NDArray[np.float64]
 
+APART = "Import the pictures of before and of after by themselves"
 STEP_S, FINE_S = 0.1, 0.02  # of the offsets compared, everywhere and about the best
 CLOSE = np.linspace(-1.0, 1.0, 41)  # about a minimum, of as far as it reaches
 NEAR_S = 1.0  # within which two offsets are the same minimum
+ZONE_S = 900.0  # by which clocks of two zones differ, or a multiple
 WIDEST_S = 1.1  # one sigma at most that the flight itself can resolve
 ASTRAY = 1e-3  # how likely what is stated is wrong altogether
 COARSE_PAIRS, KEPT = 40, 400  # in a first pass over all offsets, and how many of them all pairs judge then
@@ -54,9 +56,10 @@ class Clock:
 
 @dataclass(frozen=True)
 class Unknown:
-    """The answer that no offset is known well enough, with the reason for people."""
+    """The answer that no offset is known well enough, with the reason for people, and what helps if nothing usual."""
 
     reason: str
+    advice: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,8 +85,8 @@ def search(evidence: Evidence, stated: Stated | None) -> Clock | Unknown:
         return Unknown("no offset puts the pictures into the time of the log")
     tried = [_Cost(evidence, noise, stated) for noise in evidence.noises]
     everywhere = [cost.everywhere(offsets_s) for cost in tried]
-    likeliest = int(np.argmin([costs.min() for costs in everywhere]))
-    cost, costs = tried[likeliest], everywhere[likeliest]
+    likeliest = int(np.argmin([costs.min() for costs, _ in everywhere]))
+    cost, (costs, parts) = tried[likeliest], everywhere[likeliest]
     best_s = float(offsets_s[np.argmin(costs)])
     reach_s = NEAR_S if stated is None else max(NEAR_S, 4.0 * stated.sigma_s)
     fine_s = best_s + np.arange(-reach_s, reach_s + FINE_S / 2, FINE_S)
@@ -100,6 +103,11 @@ def search(evidence: Evidence, stated: Stated | None) -> Clock | Unknown:
         return Unknown(f"nothing determines it better than +-{sigma_s:.1f} s")
     if stated is None and not cost.is_consistent(fit.square[at]):
         return Unknown("the pictures do not move as the log does at any time of it")
+    step_s = _step(cost, offsets_s[far], parts[far], mean_s, fit.dispersion(at))
+    if step_s is not None:
+        return Unknown(
+            f"{mean_s:+.1f} s fits one part of the pictures, {step_s:+.1f} s another: a clock was set in flight", APART
+        )
     return Clock(mean_s, sigma_s, cost.text(stated, fit.square[at]))
 
 
@@ -114,6 +122,26 @@ def _rival(cost: _Cost, near: _Fit, offsets_s: Array, costs: Array) -> float | N
     certain += (fit.others - near.others[at]) / dispersion
     likeliest = int(np.argmin(certain))
     return float(offsets_s[kept][likeliest]) if certain[likeliest] < CLEAR else None
+
+
+def _step(cost: _Cost, offsets_s: Array, parts: Array, mean_s: float, dispersion: float) -> float | None:
+    """The other offset (s) of the flight's beginning or of its end, where these are clearly of another; None where the
+    whole flight is of one. `parts` (T, B) are those of the other offsets; others of another zone are tried. (28.13)
+    """
+    zones_s = mean_s + ZONE_S * np.arange(-round(REACH_S / ZONE_S), round(REACH_S / ZONE_S) + 1)
+    zones_s = zones_s[np.abs(zones_s - mean_s) > 0.5 * ZONE_S]
+    offsets_s, parts = np.concatenate([offsets_s, zones_s]), np.concatenate([parts, cost.parts(zones_s)])
+    better = cost.parts(np.array([mean_s])) - parts
+    count = better.shape[1]
+    needed = CLEAR + 2.0 * np.log(2.0 * max(count * len(offsets_s), 1))  # a thousand to one, of all places and offsets
+    found: tuple[float, float | None] = (1.0, None)
+    for some in (part for split in range(1, count) for part in (slice(None, split), slice(split, None))):
+        gain = better[:, some].sum(axis=1)
+        large = np.flatnonzero(gain > needed * dispersion)
+        certain = gain[large] / np.maximum(overstated(better[large, some]), dispersion) / needed
+        if len(large) and certain.max() > found[0]:
+            found = float(certain.max()), float(offsets_s[large[np.argmax(certain)]])
+    return found[1]
 
 
 def _estimate(cost: _Cost, fine_s: Array, dispersion: float) -> tuple[float, float]:
@@ -203,7 +231,10 @@ class _Cost:
 
     def __init__(self, evidence: Evidence, noise: MotionNoise, stated: Stated | None) -> None:
         self.evidence, self._noise, self._stated = evidence, noise, stated
-        self.motion = MotionCost(evidence.track, evidence.pairs, noise)
+        pairs, self._every = evidence.pairs, max(-(-len(evidence.pairs) // COARSE_PAIRS), 1)
+        some = Pairs(pairs.moments_ns[:: self._every], pairs.at[:: self._every], pairs.to[:: self._every])
+        self.motion = MotionCost(evidence.track, pairs, noise)
+        self._some = MotionCost(evidence.track, some, noise)
 
     def with_age(self, age_s: float) -> _Cost:
         """The same where the log's positions are older than its attitudes by so much; of what has no attitude, where
@@ -217,20 +248,22 @@ class _Cost:
         fit = self.motion(offsets_s)
         return _Fit(fit.total, fit.square, self._others(offsets_s))
 
-    def everywhere(self, offsets_s: Array) -> Array:
-        """(T,) costs; of many pairs some judge all offsets, and all of them the best; inf where they did not."""
-        e, every = self.evidence, -(-len(self.evidence.pairs) // COARSE_PAIRS)
-        others = self._others(offsets_s)
-        if every <= 1:
-            fit = self.motion(offsets_s)
-            total: Array = fit.total.sum(axis=1) + others
-            return total
-        some = Pairs(e.pairs.moments_ns[::every], e.pairs.at[::every], e.pairs.to[::every])
-        coarse = MotionCost(e.track, some, self._noise)(offsets_s).total.sum(axis=1) * every + others
+    def everywhere(self, offsets_s: Array) -> tuple[Array, Array]:
+        """(T,) costs; of many pairs some judge all offsets, and all of them the best; inf where they did not. And those
+        of the flight's parts (T, B), by some.
+        """
+        others, parts = self._others(offsets_s), self.parts(offsets_s)
+        coarse = parts.sum(axis=1) + others
+        if self._every <= 1:
+            return coarse, parts
         out = np.full(len(offsets_s), np.inf)
         kept = np.sort(np.argsort(coarse)[:KEPT])
         out[kept] = self.motion(offsets_s[kept]).total.sum(axis=1) + others[kept]
-        return out
+        return out, parts
+
+    def parts(self, offsets_s: Array) -> Array:
+        """(T, B) costs of the flight's parts, by some of many pairs."""
+        return by_parts(self._some(offsets_s).total) * self._every
 
     def _others(self, offsets_s: Array) -> Array:
         e, stated = self.evidence, self._stated

@@ -73,6 +73,20 @@ def test_pictures_of_another_flight_are_not_put_into_this_one() -> None:
     assert reason(search(mixed, None))
 
 
+@pytest.mark.parametrize(("step_s", "since"), [(10.0, 0.8), (-3600.0, 0.7), (1800.0, 0.3)])
+def test_a_clock_that_is_set_in_flight_is_named(step_s: float, since: float) -> None:
+    """The pictures of before or after were put where they were not: 100 m off by an ellipse of 7 m."""
+    known = evidence("plane_turn", TURN, 4.0)
+    at_ns = known.pairs.moments_ns.min() + since * np.ptp(known.pairs.moments_ns)
+    moved_ns = round(step_s * 1e9)
+    stepped = replace(
+        known,
+        moments_ns=[t + moved_ns * bool(t > at_ns) for t in known.moments_ns],
+        pairs=replace(known.pairs, moments_ns=known.pairs.moments_ns + moved_ns * (known.pairs.moments_ns > at_ns)),
+    )
+    assert "a clock was set in flight" in reason(search(stepped, None))
+
+
 def test_what_is_stated_holds_where_the_flight_determines_nothing_and_keeps_its_own_sigma() -> None:
     clock = found(search(evidence("copter_leg", LEG, 4.0), Stated(-3.8, 0.1, "--clock-offset")))
     assert abs(clock.offset_s + 4.0) < 3.0 * clock.sigma_s and clock.sigma_s < 0.2
