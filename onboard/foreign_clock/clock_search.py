@@ -92,7 +92,7 @@ def search(evidence: Evidence, stated: Stated | None) -> Clock | Unknown:
     fine_s = best_s + np.arange(-reach_s, reach_s + FINE_S / 2, FINE_S)
     fit = cost.of(fine_s)
     at = int(np.argmin(fit.total))
-    mean_s, sigma_s = _estimate(cost, fine_s, fit.dispersion(at))
+    mean_s, sigma_s, overstates = _estimate(cost, fine_s, fit.dispersion(at))
     far = np.abs(offsets_s - mean_s) > max(reach_s, 4.0 * sigma_s)
     if stated is not None and abs(mean_s - stated.offset_s) > reach_s:
         return _contradiction(stated, mean_s)
@@ -103,7 +103,7 @@ def search(evidence: Evidence, stated: Stated | None) -> Clock | Unknown:
         return Unknown(f"nothing determines it better than +-{sigma_s:.1f} s")
     if stated is None and not cost.is_consistent(fit.square[at]):
         return Unknown("the pictures do not move as the log does at any time of it")
-    step_s = _step(cost, offsets_s[far], parts[far], mean_s, fit.dispersion(at))
+    step_s = _step(cost, offsets_s[far], parts[far], mean_s, fit.dispersion(at) * overstates)
     if step_s is not None:
         return Unknown(
             f"{mean_s:+.1f} s fits one part of the pictures, {step_s:+.1f} s another: a clock was set in flight", APART
@@ -124,9 +124,10 @@ def _rival(cost: _Cost, near: _Fit, offsets_s: Array, costs: Array) -> float | N
     return float(offsets_s[kept][likeliest]) if certain[likeliest] < CLEAR else None
 
 
-def _step(cost: _Cost, offsets_s: Array, parts: Array, mean_s: float, dispersion: float) -> float | None:
+def _step(cost: _Cost, offsets_s: Array, parts: Array, mean_s: float, factor: float) -> float | None:
     """The other offset (s) of the flight's beginning or of its end, where these are clearly of another; None where the
-    whole flight is of one. `parts` (T, B) are those of the other offsets; others of another zone are tried. (28.13)
+    whole flight is of one. `parts` (T, B) are those of the other offsets; those of other zones are tried, too. `factor`:
+    by which all costs overstate. (28.13)
     """
     zones_s = mean_s + ZONE_S * np.arange(-round(REACH_S / ZONE_S), round(REACH_S / ZONE_S) + 1)
     zones_s = zones_s[np.abs(zones_s - mean_s) > 0.5 * ZONE_S]
@@ -137,16 +138,16 @@ def _step(cost: _Cost, offsets_s: Array, parts: Array, mean_s: float, dispersion
     found: tuple[float, float | None] = (1.0, None)
     for some in (part for split in range(1, count) for part in (slice(None, split), slice(split, None))):
         gain = better[:, some].sum(axis=1)
-        large = np.flatnonzero(gain > needed * dispersion)
-        certain = gain[large] / np.maximum(overstated(better[large, some]), dispersion) / needed
+        large = np.flatnonzero(gain > needed * factor)
+        certain = gain[large] / np.maximum(overstated(better[large, some]), factor) / needed
         if len(large) and certain.max() > found[0]:
             found = float(certain.max()), float(offsets_s[large[np.argmax(certain)]])
     return found[1]
 
 
-def _estimate(cost: _Cost, fine_s: Array, dispersion: float) -> tuple[float, float]:
-    """Mean and sigma of the offset, with the age of the log's positions estimated together with it, or where these are
-    all that it has, by how much the nose follows the path. (28.9), (28.10)
+def _estimate(cost: _Cost, fine_s: Array, dispersion: float) -> tuple[float, float, float]:
+    """Mean and sigma of the offset, and by how much its costs overstate. The age of the log's positions is estimated
+    together with it, or where these are all that it has, by how much the nose follows the path. (28.9), (28.10)
     """
     age_sigma_s = cost.evidence.position_sigma_s if cost.evidence.track.has_attitude else BEHIND_PATH_S
     moments = _moments(cost, fine_s, dispersion)
@@ -154,14 +155,15 @@ def _estimate(cost: _Cost, fine_s: Array, dispersion: float) -> tuple[float, flo
     variance = max(variance, moments.scatter_s**2)
     variance += cost.evidence.stamp_sigma_s**2 / len(cost.evidence.moments_ns)  # of the stamps' mean, at least
     if age_sigma_s <= 0.0:
-        return moments.mean_s, float(np.sqrt(variance))
+        return moments.mean_s, float(np.sqrt(variance)), moments.overstates
     younger, older = (_moments(cost.with_age(age_s), fine_s, dispersion) for age_s in (-age_sigma_s, age_sigma_s))
     # A parabola through the least costs at -1, 0 and 1 sigma of the age, and what is known of it beforehand.
     slope, curvature = 0.5 * (older.least - younger.least), older.least + younger.least - 2.0 * moments.least
     precision = 1.0 + max(0.5 * curvature, 0.0)
     age = float(np.clip(-0.5 * slope / precision, -1.0, 1.0))
     by_age_s = 0.5 * (older.mean_s - younger.mean_s)
-    return moments.mean_s + age * by_age_s, float(np.sqrt(variance + by_age_s**2 / precision))
+    sigma_s = float(np.sqrt(variance + by_age_s**2 / precision))
+    return moments.mean_s + age * by_age_s, sigma_s, moments.overstates
 
 
 @dataclass(frozen=True)
@@ -172,6 +174,11 @@ class _Moments:
     mean_s: float
     sigma_s: float
     scatter_s: float
+
+    @property
+    def overstates(self) -> float:
+        """By how much (1 at least) the costs do, by the two variances of the offset."""
+        return max(self.scatter_s / max(self.sigma_s, 1e-9), 1.0) ** 2
 
 
 def _moments(cost: _Cost, fine_s: Array, dispersion: float) -> _Moments:
