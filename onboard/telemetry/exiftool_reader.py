@@ -11,8 +11,10 @@ import subprocess
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from contract.errors import InputError
-from onboard.telemetry.mp4_container import creation_ns
+from onboard.telemetry.mp4_container import creation_ns, shown_since_first_picture_s
 from onboard.telemetry.row_events import SIGMA_GEOID_M, Row, Rows, log_of_rows, with_heights
 from onboard.telemetry.telemetry_log import NS_PER_S, SIGMA_BEGAN_S, TelemetryLog, epoch_of
 
@@ -31,13 +33,20 @@ def is_there() -> bool:
 def read(path: Path) -> TelemetryLog:
     """Read the positions in a video. Raises InputError, without the file's name, for one without any."""
     began_ns, utc_sigma_s = epoch_of(creation_ns(path))
-    rows: Rows = []
-    for line in _printed(path).splitlines():
-        if (found := _row(line)) is not None:
-            time_s, row = found
-            rows.append((began_ns + round(time_s * NS_PER_S), row))
-    if not rows:
+    found = [one for line in _printed(path).splitlines() if (one := _row(line)) is not None]
+    if not found:
         raise InputError("exiftool finds no positions with a time in it")
+    try:  # its SampleTime passes over edit lists
+        times_s = shown_since_first_picture_s(path, np.array([time_s for time_s, _ in found]))
+    except ValueError as error:
+        raise InputError("its tracks of telemetry are shown at different times: cut all tracks at one place") from error
+    rows: Rows = [
+        (began_ns + round(time_s * NS_PER_S), row)
+        for time_s, (_, row) in zip(times_s.tolist(), found, strict=True)
+        if math.isfinite(time_s)
+    ]
+    if not rows:
+        raise InputError("all positions that exiftool finds are of parts that were cut off")
     placed, notes = with_heights(rows, None, None, SIGMA_GEOID_M)
     log = log_of_rows(placed, ["positions as exiftool reads them", *notes], utc_sigma_s, is_repeated=True)
     return replace(log, video_began=(began_ns, SIGMA_BEGAN_S))

@@ -81,6 +81,35 @@ def tracks_of(path: Path) -> list[Track]:
     return out
 
 
+def shown_since_first_picture_s(path: Path, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return when samples (N,) of a file's telemetry are shown, s since the first picture, by their times on their own
+    track; nan for those that are not. Of a file that is no such container they are as they were.
+
+    Raises ValueError where its tracks of telemetry are shown differently: the times do not state of which they are.
+    """
+    try:
+        with path.open("rb") as stream:
+            moov = _first(stream, 0, path.stat().st_size, b"moov")
+            boxes = [] if moov is None else list(_boxes(stream, *moov))
+            movie_hz = next((_rate_hz(_read(stream, (a, b))) for kind, a, b in boxes if kind == b"mvhd"), 0.0)
+            edits = [_edits_of_telemetry(stream, a, b, movie_hz) for kind, a, b in boxes if kind == b"trak"]
+            pictures_s = _first_picture_s(stream, boxes)
+    except (OSError, IndexError, KeyError, struct.error):
+        return times_s
+    known = [each for each in edits if each is not None]
+    if any(each != known[0] for each in known):
+        raise ValueError
+    return shown_s(times_s, known[0] if known else []) - pictures_s
+
+
+def _edits_of_telemetry(stream: BinaryIO, start: int, end: int, movie_hz: float) -> list[Edit] | None:
+    """The edits of a track that has neither pictures, sound nor time codes; None for one that has."""
+    media = dict(_inside(stream, start, end, b"mdia"))
+    if _read(stream, media[b"hdlr"])[8:12] in (b"vide", b"soun", b"tmcd"):
+        return None
+    return _edits(stream, start, end, movie_hz, _rate_hz(_read(stream, media[b"mdhd"])))
+
+
 def first_picture_s(path: Path) -> float:
     """Return when the first picture of a file is shown on its own time, s: 0, unless an edit list begins with nothing,
     or within a picture, which is then not shown. 0 of a file that is no such container.

@@ -134,10 +134,10 @@ def test_what_is_in_a_video_and_not_read_is_named(
         read(tmp_path, mp4(kind, [b"\0\5hello"], [0.0], about=about))
 
 
-def camm(count: int) -> bytes:
+def camm(count: int, of_track: bytes = b"", of_video: bytes = b"") -> bytes:
     """Google's camera motion: positions of type 5, half a second apart."""
     samples = [struct.pack("<HH3d", 0, 5, 47.0 + 1e-4 * k, 8.2, 500.0 + k) for k in range(count)]
-    return mp4(b"camm", samples, [0.5 * k for k in range(count)])
+    return mp4(b"camm", samples, [0.5 * k for k in range(count)], of_track=of_track, of_video=of_video)
 
 
 EXIFTOOL_PRINTS = (
@@ -161,6 +161,13 @@ def test_what_exiftool_prints_is_the_log_of_a_track_that_is_not_read(
     assert positions_of(log) == [(0.0, 47.0, 500.0), (0.5, 47.0001, 501.0), (2.5, 47.0005, 505.0)]
     assert log.video_began is not None and log.video_began[1] == 0.5 and log.utc_sigma_s is None
     assert log.notes[0] == "positions as exiftool reads them"
+    # Its times are the track's own: of a video that was cut, the positions were late by what was cut off.
+    cut = read(tmp_path, camm(6, edits((9.0, 0.5)), edits((0.25, None), (9.0, 0.0))))
+    assert cut.video_began is not None
+    since_s = [(e.stamp_ns - cut.video_began[0]) / 1e9 for e in cut.events if isinstance(e, PositionFix)]
+    assert since_s == [-0.25, 1.75]
+    with pytest.raises(InputError, match="all positions that exiftool finds are of parts that were cut off"):
+        read(tmp_path, camm(6, edits((9.0, 50.0))))
     program.write_text("#!/bin/sh\nexit 1\n")
     with pytest.raises(InputError, match=r"camera motion \(camm\): exiftool finds no positions"):
         read(tmp_path, camm(6))
