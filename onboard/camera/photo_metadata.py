@@ -62,6 +62,7 @@ class PhotoMetadata:
     height_origin_is_unnamed: bool = False  # above the sea, a geoid or the ellipsoid: its source does not state which
     place_lacks_side: bool = False  # a latitude and longitude without what side of the equator and of Greenwich
     counts: str = ""  # the kind of R-JPEG whose sixteen bit counts are the picture, of `size_px`; empty for others
+    serial: str = ""  # of the camera's body
 
 
 def read_photo(path: Path) -> PhotoMetadata:
@@ -108,6 +109,7 @@ def read_photo(path: Path) -> PhotoMetadata:
         gps_ns=_gps_time(gps),
         place_lacks_side=lacks_side,
         counts=counts,
+        serial=(str(details.get(ExifTags.Base.BodySerialNumber, "")) or xmp.get("CameraSerialNumber", "")).strip("\0 "),
     )
 
 

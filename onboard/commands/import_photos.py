@@ -272,10 +272,12 @@ def _photos(folder: Path) -> list[PhotoMetadata]:
 
 def _check_one_camera(folder: Path, photos: list[PhotoMetadata]) -> None:
     """Raise InputError for photographs of several cameras."""
+    (serial, _), *_ = Counter(photo.serial for photo in photos if photo.serial).most_common(1) or [("", 0)]
     for what, values in (
         ("size", [photo.size_px for photo in photos]),
         ("camera", [photo.model for photo in photos]),
         ("kind of counts", [photo.counts for photo in photos]),
+        ("camera's serial number", [photo.serial or serial for photo in photos]),
     ):
         usual, _ = Counter(values).most_common(1)[0]
         odd = next((p for p, v in zip(photos, values, strict=True) if v != usual), None)

@@ -126,7 +126,7 @@ def _rival(cost: _Cost, near: _Fit, offsets_s: Array, costs: Array) -> float | N
 
 def _step(cost: _Cost, offsets_s: Array, parts: Array, mean_s: float, factor: float) -> float | None:
     """The other offset (s) of the flight's beginning or of its end, where these are clearly of another; None where the
-    whole flight is of one. `parts` (T, B) are those of the other offsets; those of other zones are tried, too. `factor`:
+    whole flight is of one. `parts` (T, B) are those of the other offsets; those of other zones are tried. `factor`:
     by which all costs overstate. (28.13)
     """
     zones_s = mean_s + ZONE_S * np.arange(-round(REACH_S / ZONE_S), round(REACH_S / ZONE_S) + 1)

@@ -59,6 +59,8 @@ def write_photographs(session: Path, out: Path, style: Style, seed: int = 0) -> 
         exif[ExifTags.Base.Make], exif[ExifTags.Base.Model] = "DJI", "FC7303"
         details: dict[int, object] = _times(float(row["unix_time_s"]), style)
         details |= _lens(camera, style, attributes)
+        if number % 2 == 0:  # not all pictures of one camera need state it
+            details[ExifTags.Base.BodySerialNumber] = "1581F4AAA"
         if style.gps:
             exif._ifds[ExifTags.IFD.GPSInfo] = _gps(float(lat), float(lon), float(height))
             if not style.sides:

@@ -185,6 +185,8 @@ def spoilt(folder: Path, how: str) -> None:
             gps.clear()
         if how == "model":
             exif[ExifTags.Base.Model] = "another"
+        if how == "serial":  # two cameras of one kind, whose pictures were copied into one folder
+            details[ExifTags.Base.BodySerialNumber] = "1581F4BND"
         xmp = b"" if how in ("place", "focal") else image.info.get("xmp", b"")
         copy = image.resize(size)
     copy.save(photo, "JPEG", exif=exif, xmp=xmp)
@@ -197,6 +199,7 @@ def spoilt(folder: Path, how: str) -> None:
     [
         ("size", "another size than most"),
         ("model", "another camera than most"),
+        ("serial", "another camera's serial number than most"),
         ("time", "no DateTimeOriginal"),
         ("place", "no GPS position with a height in DJI_0004.JPG; give a log of the flight instead"),
         ("focal", "no focal length in EXIF"),
