@@ -75,7 +75,7 @@ def test_a_camera_s_clock_that_is_off_is_found_to_its_sigma(
 def test_a_thousand_photographs_cost_no_more_than_their_log(
     shared_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Fifty minutes of them against an hour of positions without attitudes; 22 s of a processor."""
+    """Fifty minutes of them against an hour of positions without attitudes."""
     data, folder, table = shared_data / "caliterra", tmp_path / "photos", tmp_path / "log.csv"
     frames, begin_s = sorted((data / "frames").iterdir()), FIRST_S["caliterra"]
     folder.mkdir()
