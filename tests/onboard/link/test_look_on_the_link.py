@@ -182,7 +182,7 @@ def test_a_publisher_without_what_answers_refuses_in_words(keys: Path) -> None:
 def test_a_confirmation_without_an_answer_may_have_been_done(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ground.look_link.ANSWERED_WITHIN_S", 0.5)
     with answered(lambda: LookLink(place.endpoint, "uav-1", place.tls("cleo"))) as link:  # who gets no answer
-        with pytest.raises(LinkError, match="has not answered: the camera may have turned or not"):
+        with pytest.raises(LinkError, match="has not answered: it may have been done or not"):
             link.confirm(OFFER, 0.0)
         with pytest.raises(LinkError, match=r"link\.pointers"):
             link.end()
