@@ -145,7 +145,7 @@ def read_request(text: str) -> LookRequest:
     if given == {END: "1"}:
         return EndLook()
     if set(given) == {TICKET, WAITED}:
-        return ConfirmLook(_ticket(given, TICKET), _number(given, WAITED, 0.0, OFFER_S))
+        return ConfirmLook(_ticket(given, TICKET), _number(given, WAITED, 0.0, math.inf))
     if set(given) == {CIRCLE}:
         return AskCircle(_ticket(given, CIRCLE))
     if set(given) != set(_CLICK):

@@ -21,7 +21,7 @@ export class Looking {
       const offer = this.offer;
       if (offer === null) return;
       this.offer = null;
-      this.show("Not confirmed: nothing was sent.", "note");
+      this.show(offer.of.circle === null ? "Not confirmed: nothing was sent." : `Not confirmed: no circle was sent; the camera of ${offer.of.vehicle} still looks there.`, "note");
       this.clicked(offer.body);
     });
   }

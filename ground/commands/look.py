@@ -64,8 +64,10 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError("--frame, --yes and --circle go with U and V")
     if args.circle and args.yes:
         raise UsageError("a circle is confirmed by a person: --circle goes without --yes")
-    if args.u is not None and not args.yes and not (sys.stdin is not None and sys.stdin.isatty()):
-        raise UsageError("no one is there to confirm the place: --yes does without")
+    if args.u is not None and not args.yes and not _is_someone_there():
+        raise UsageError(
+            "no one is there to read and confirm the place: input and output must be a terminal, or --yes does without"
+        )
     from ground.look_link import LookLink  # noqa: PLC0415  zenoh is loaded only where there is a link
     from ground.put_request import RequestRefused  # noqa: PLC0415
 
@@ -96,21 +98,28 @@ def _look(link: LookLink, args: argparse.Namespace) -> int:
     radius_m = ce90_m(answer.covariance_enu_m2[:2, :2])
     session = locator.feature_set.session
     asked = AskLook(session, answer.frame, args.u, args.v, answer.lat_deg, answer.lon_deg, radius_m)
-    ticket = _confirmed(link, asked, "Have the camera look there?", is_asked=not args.yes)
+    ticket = _confirmed(link, asked, is_asked=not args.yes)
     if ticket and args.circle:
-        ticket = _confirmed(link, AskCircle(ticket), "Have the aircraft circle there?", is_asked=True)
+        ticket = _confirmed(link, AskCircle(ticket), is_asked=True)
     return ANSWERED if ticket else REFUSED
 
 
-def _confirmed(link: LookLink, asked: AskLook | AskCircle, question: str, *, is_asked: bool) -> str:
+def _confirmed(link: LookLink, asked: AskLook | AskCircle, *, is_asked: bool) -> str:
     """Have an offer printed, confirmed and done. Returns its ticket; empty where it was not confirmed."""
+    is_circle = isinstance(asked, AskCircle)
+    question = "Have the aircraft circle there?" if is_circle else "Have the camera look there?"
+    left = "no circle was sent; the camera still looks there" if is_circle else "nothing was sent"
     offer = link.ask(asked)
     came_s = time.monotonic()
     print(f"{link.vehicle}: {in_words(offer)}", flush=True)
     if is_asked and not _is_yes(question):
-        print("not confirmed: nothing was sent", file=sys.stderr)
+        print(f"not confirmed: {left}", file=sys.stderr)
         return ""
-    link.confirm(offer, time.monotonic() - came_s)
+    try:
+        link.confirm(offer, time.monotonic() - came_s)
+    except KeyboardInterrupt:
+        print("interrupted after it was confirmed: it may have been done or not", file=sys.stderr)
+        raise
     print(f"{link.vehicle}: accepted by the autopilot", flush=True)
     return offer.ticket
 
@@ -131,7 +140,26 @@ def in_words(offer: Offer) -> str:
     )
 
 
+def _is_someone_there() -> bool:
+    """Return whether a person reads what is printed, and answers."""
+    return all(stream is not None and stream.isatty() for stream in (sys.stdin, sys.stdout))
+
+
+def _forget_what_was_typed() -> None:
+    """Drop what waits in the terminal: a key pressed before a question was there to be read answers none."""
+    if sys.platform == "win32":
+        import msvcrt  # noqa: PLC0415
+
+        while msvcrt.kbhit():
+            msvcrt.getwch()
+    else:
+        import termios  # noqa: PLC0415  Windows has none
+
+        termios.tcflush(sys.stdin, termios.TCIFLUSH)
+
+
 def _is_yes(question: str) -> bool:
+    _forget_what_was_typed()
     try:
         return input(f"{question} [y/N] ").strip().lower() in ("y", "yes")
     except EOFError:

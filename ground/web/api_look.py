@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from contract.answer import Fix
 from contract.circular_error import ce90_m
 from contract.errors import LinkError
-from contract.look import OFFER_S, AskCircle, AskLook, ConfirmLook, EndLook, Offer
+from contract.look import AskCircle, AskLook, ConfirmLook, EndLook, Offer
 from ground.web.api_vehicles import ClickBody
 from ground.web.dependency import Context
 
@@ -35,7 +35,7 @@ class TicketBody(VehicleBody):
 class ConfirmBody(TicketBody):
     """An offer's ticket, and for how long the person had it before he confirmed it."""
 
-    waited_s: float = Field(ge=0.0, le=OFFER_S, allow_inf_nan=False)
+    waited_s: float = Field(ge=0.0, allow_inf_nan=False)
 
 
 # Routes below /api. The guard lets only pointers post to them.

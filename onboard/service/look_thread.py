@@ -46,6 +46,8 @@ BETWEEN_S = 2.0  # commands to the autopilot, whoever asks
 REST = 1.0  # of the time that a question took, in which it leaves the processor to others
 MOST_REST_S = 0.1
 IDLE_S = 0.5
+CUT = "..."
+MAX_NOTICE = 88  # characters for the pilot: "pointclick: " goes before it, and a text has 100
 SIDE_95 = 1.645  # standard deviations, one-sided 95 %
 
 Done = Callable[[bytes, bool], object]  # takes the answer, and whether it is a refusal
@@ -81,6 +83,7 @@ class _Offered:
     who: str
     at_s: float
     height_sigma_m: float  # of the place
+    about: str = ""  # of a circle: the ticket of the look at its place
     outcome: tuple[bytes, bool] | None = None  # once it was confirmed: asked again, the same answer
 
 
@@ -178,11 +181,7 @@ class LookThread(WokenWork):
         limits, now_s = self._limits, self._monotonic_s()
         if limits.circle_radius_m is None:
             raise _Refused("not_allowed", "no one may have this aircraft circle: its look.circle_radius_m is not set")
-        looked_at = self._looked_at
-        if looked_at is None or (looked_at.who, looked_at.offer.ticket) != (who, request.ticket):
-            raise _Refused(
-                "not_looking", "you have not sent the camera there, or it was sent elsewhere since: click again"
-            )
+        looked_at = self._looking(who, request.ticket)
         place = looked_at.offer
         age_s = place.age_s + now_s - looked_at.at_s
         if age_s > limits.max_age_s:
@@ -201,7 +200,16 @@ class LookThread(WokenWork):
             )
         circle = Circle(limits.circle_radius_m, height_m, above_m)
         offer = replace(place, ticket=secrets.token_hex(8), age_s=age_s, circle=circle)
-        return self._keep(replace(looked_at, offer=offer, at_s=now_s, outcome=None))
+        return self._keep(replace(looked_at, offer=offer, at_s=now_s, about=place.ticket, outcome=None))
+
+    def _looking(self, who: str, ticket: str) -> _Offered:
+        """What the camera was sent to look at last, if it was this person by this ticket."""
+        looked_at = self._looked_at
+        if looked_at is None or (looked_at.who, looked_at.offer.ticket) != (who, ticket):
+            raise _Refused(
+                "not_looking", "you have not sent the camera there, or it was sent elsewhere since: click again"
+            )
+        return looked_at
 
     def _keep(self, offered: _Offered) -> Offer:
         self._offers[offered.offer.ticket] = offered
@@ -216,12 +224,14 @@ class LookThread(WokenWork):
         if offered.outcome is not None:
             return offered.outcome
         since_s = self._monotonic_s() - offered.at_s
-        if since_s > OFFER_S:
+        if max(since_s, request.waited_s) > OFFER_S:
             raise _Refused("late", f"the offer is more than {OFFER_S:.0f} s old: click again")
         if since_s - request.waited_s > LATE_S:
             raise _Refused(
                 "late", f"offer and confirmation were {since_s - request.waited_s:.0f} s on their way: click again"
             )
+        if offered.about:
+            self._looking(who, offered.about)  # still: offers are answered one after the other, by this thread alone
         offered.outcome = self._command(who, offered)
         return offered.outcome
 
@@ -238,14 +248,14 @@ class LookThread(WokenWork):
         radius = "" if offer is None else f" (CE90 {offer.ce90_m:.1f} m)"
         log.info("look: %s %s %s%s: %s", who, what, order, radius, word)
         if word != NO_AUTOPILOT:
-            self.newest = f"{who}: {order}: {word}"[:MAX_LOOK]
+            if not isinstance(order, CircleAbout):
+                self._looked_at = offered if word == ACCEPTED else None  # it may look there, or where it did
+            self.newest = _with_outcome(f"{who}: {order}", word, MAX_LOOK)
             for notify in self.notified:
-                notify(f"{who} {what} {order}" + ("" if word == ACCEPTED else f": {word}"))
+                notify(_with_outcome(f"{who} {what} {order}", "" if word == ACCEPTED else word, MAX_NOTICE))
         if word != ACCEPTED:
             return refused(word, UNSENT.get(word, f"the autopilot refuses: {word.replace('_', ' ')}")), True
         content: dict[str, object] = {"result": word, **vars(order)}
-        if not isinstance(order, CircleAbout):
-            self._looked_at = offered
         if isinstance(order, LookAt):
             content["may_circle"] = self._limits.circle_radius_m is not None
         return json.dumps(content, separators=(",", ":")).encode(), False
@@ -258,6 +268,13 @@ def _order_of(offer: Offer | None) -> Order:
     if offer.circle is None:
         return LookAt(offer.lat_deg, offer.lon_deg, offer.height_amsl_m)
     return CircleAbout(offer.lat_deg, offer.lon_deg, offer.circle.height_amsl_m, offer.circle.radius_m)
+
+
+def _with_outcome(what: str, word: str, most: int) -> str:
+    """Return what was sent and what came of it in so many characters: the outcome is whole, and a cut is seen."""
+    end = f": {word}" if word else ""
+    room = most - len(end)
+    return (what if len(what) <= room else f"{what[: room - len(CUT)]}{CUT}") + end
 
 
 def _apart_m(one: tuple[float, float], other: tuple[float, float]) -> float:

@@ -2,7 +2,8 @@
 
 MAV_CMD_DO_SET_ROI_LOCATION and MAV_CMD_DO_SET_ROI_NONE, addressed to the autopilot, which is the gimbal's manager or
 passes them on to it. To circle, MAV_CMD_DO_REPOSITION for a plane, which loiters about the place that it is sent to,
-and MAV_CMD_DO_ORBIT for a multicopter, which would hover there. As COMMAND_INT: a COMMAND_LONG's 32-bit floats are
+and MAV_CMD_DO_ORBIT for a multicopter, which would hover there. ArduPilot's VTOLs call themselves planes by default, so
+a plane is first asked whether it is one (EXTENDED_SYS_STATE). As COMMAND_INT: a COMMAND_LONG's 32-bit floats are
 metres off, and have no frame of the height. No link, no thread.
 """
 
@@ -65,6 +66,7 @@ def _command_for(order: Order, kind: int | None) -> _Command | None:
 class _Given:
     order: Order
     command: _Command
+    asked: int = 0  # whether the plane is a VTOL
     sent: int = 0
     sent_ns: int = 0
     is_begun: bool = False  # the autopilot has reported that it is at it
@@ -90,6 +92,7 @@ class Pointing:
     ) -> None:
         self._component, self._limit_s, self._monotonic_s = component, limit_s, monotonic_s
         self._kind: int | None = None  # MAV_TYPE of the vehicle
+        self._is_plane: bool | None = None  # by its EXTENDED_SYS_STATE no VTOL; None: not reported since it was asked
         self._height: tuple[float, float] | None = None  # above mean sea level, m, and when it came
         self._lock = threading.Lock()
         self._turn = threading.Lock()  # whose command is under way

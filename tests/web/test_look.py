@@ -119,8 +119,8 @@ def test_a_pointer_may_what_an_operator_may_and_where_no_token_is_asked_for_no_o
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"ticket": "../x"}, {"ticket": ""}, {"ticket": "a" * 33}, {"waited_s": -1.0}, {"waited_s": 31.0},
-        {"waited_s": "nan"}, {"more": 1}, {"vehicle": "x" * 201},
+        {"ticket": "../x"}, {"ticket": ""}, {"ticket": "a" * 33}, {"waited_s": -1.0},
+        {"waited_s": "nan"}, {"waited_s": "inf"}, {"more": 1}, {"vehicle": "x" * 201},
     ],
 )  # fmt: skip
 def test_a_confirmation_that_is_none_does_not_get_to_the_aircraft(tmp_path: Path, wrong: dict[str, Any]) -> None:
@@ -262,7 +262,7 @@ def test_the_aircraft_circles_only_once_place_height_and_radius_are_confirmed_as
     words = "at 520 m above sea level, 120 m above the place; radius 120 m"
     assert anna.by("look-height").inner_text() == words and anna.by("look-go").inner_text() == "Fly the circle"
     page.keyboard.press("Enter")
-    states(anna, "Not confirmed: nothing was sent.")
+    states(anna, "Not confirmed: no circle was sent; the camera of uav-1 still looks there.")
     assert len(source.looked) == 3
     anna.by("look-there").click()
     page.wait_for_selector("#look-dialog[open]")

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import os
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -19,7 +21,7 @@ from contract.topics import STATUS
 from contract.vehicle_status import VehicleStatus, encode_status
 from contract.wire.codec import decode
 from ground.__main__ import main
-from ground.commands.look import in_words
+from ground.commands.look import _is_yes, in_words
 from onboard.config.link import Look
 from onboard.events.pointing import ACCEPTED, CircleAbout, LookAhead, LookAt, Order
 from onboard.link.certificates import make_credentials
@@ -68,6 +70,11 @@ def place(tmp_path: Path) -> Iterator[Place]:
         yield Place(["--connect", endpoint, "--credentials", str(tmp_path / "anna")], autopilot, flying, fix)
 
 
+def at_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ground.commands.look._is_someone_there", lambda: True)
+    monkeypatch.setattr("ground.commands.look._forget_what_was_typed", lambda: None)
+
+
 def test_a_click_is_confirmed_by_its_place_and_height_before_anything_moves(
     place: Place, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -78,7 +85,7 @@ def test_a_click_is_confirmed_by_its_place_and_height_before_anything_moves(
         printed.append(capsys.readouterr().out)
         return reply
 
-    monkeypatch.setattr("sys.stdin.isatty", lambda: True, raising=False)
+    at_a_terminal(monkeypatch)
     monkeypatch.setattr("builtins.input", lambda _: answer("n"))
     assert eventually(lambda: main(["look", "320", "240", *place.options]) == 3)
     assert "not confirmed: nothing was sent" in capsys.readouterr().err and place.autopilot.asked == 0
@@ -104,13 +111,13 @@ def test_a_circle_is_confirmed_by_itself_with_its_own_height(
     place: Place, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     replies = {"Have the camera look there? [y/N] ": "y", "Have the aircraft circle there? [y/N] ": "n"}
-    monkeypatch.setattr("sys.stdin.isatty", lambda: True, raising=False)
+    at_a_terminal(monkeypatch)
     monkeypatch.setattr("builtins.input", lambda question: replies[question])
     command = ["look", "320", "240", "--circle", *place.options]
     assert eventually(lambda: main(command) == 3 and isinstance(place.autopilot.order, LookAt))
     printed = capsys.readouterr()
     above = f"1200 m above sea level, {1200.0 - (place.fix.height_amsl_m or 0.0):.0f} m above the place, radius 120 m"
-    assert above in printed.out and "not confirmed: nothing was sent" in printed.err
+    assert above in printed.out and "no circle was sent; the camera still looks there" in printed.err
     replies["Have the aircraft circle there? [y/N] "] = "y"
 
     def circles() -> bool:  # refused for two seconds after the look
@@ -121,6 +128,43 @@ def test_a_circle_is_confirmed_by_itself_with_its_own_height(
     assert eventually(circles)
     assert isinstance(order := place.autopilot.order, CircleAbout) and order.height_amsl_m == 1200.0
     assert main([*command, "--yes"]) == 2 and "--circle goes without --yes" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="its terminals are others")
+def test_a_key_pressed_before_the_question_was_there_confirms_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    keyboard, terminal = os.openpty()
+    with os.fdopen(keyboard, "wb", 0) as keys, os.fdopen(terminal) as typed:
+        monkeypatch.setattr("sys.stdin", typed)
+        keys.write(b"y\ny\n")  # as one who waits for the first question does, twice
+        for reply, is_yes in ((b"n\n", False), (b"y\n", True), (b"\n", False)):
+
+            def answer(_: str, reply: bytes = reply) -> str:
+                keys.write(reply)
+                return typed.readline()
+
+            monkeypatch.setattr("builtins.input", answer)
+            assert _is_yes("Have the aircraft circle there?") == is_yes
+
+
+@pytest.mark.parametrize("piped", ["stdin", "stdout"])
+def test_a_place_that_no_one_reads_or_no_one_confirms_is_not_asked_for(
+    piped: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("stdin", "stdout"):
+        monkeypatch.setattr(f"sys.{name}.isatty", lambda name=name: name != piped, raising=False)
+    assert main(["look", "320", "240", "--circle", "--credentials", "none"]) == 2
+    assert "no one is there to read and confirm" in capsys.readouterr().err
+
+
+def test_interrupted_after_it_was_confirmed_no_one_is_told_that_nothing_was_done(
+    place: Place, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def confirm(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("ground.look_link.LookLink.confirm", confirm)
+    assert eventually(lambda: main(["look", "320", "240", "--yes", *place.options]) == 130)
+    assert "it may have been done or not" in capsys.readouterr().err
 
 
 def test_a_refusal_is_a_line_and_exit_3(place: Place, capsys: pytest.CaptureFixture[str]) -> None:

@@ -17,6 +17,8 @@ from contract.answer import Fix
 from contract.feature_set import FeatureSet, HeightDatum, Status
 from contract.locate import Locator
 from contract.look import LATE_S, OFFER_S, AskCircle, AskLook, ConfirmLook, EndLook, LookRequest, Offer, parameters_of
+from contract.mavlink_camera.status_texts import CHUNK_LENGTH, MAX_CHUNKS
+from contract.vehicle_status import MAX_LOOK
 from contract.wire.codec import decode, encode
 from onboard.config.link import Look
 from onboard.events.pointing import ACCEPTED, NO_AUTOPILOT, NOT_ACKNOWLEDGED, CircleAbout, LookAhead, LookAt, Order
@@ -168,6 +170,44 @@ def test_no_circle_without_its_radius_a_look_before_or_for_another_and_none_of_o
     assert aircraft.ask(AskCircle(ticket))["status"] == "stale"
 
 
+@pytest.mark.parametrize("who", ["anna", "ben"])
+@pytest.mark.parametrize("word", [ACCEPTED, NOT_ACKNOWLEDGED, "denied", NO_AUTOPILOT])
+@pytest.mark.parametrize("is_end", [True, False])
+def test_a_circle_that_was_offered_is_not_flown_once_the_camera_may_look_elsewhere(
+    who: str, word: str, is_end: bool
+) -> None:
+    aircraft, ticket = looking()
+    offered, elsewhere = aircraft.ask(AskCircle(ticket)), aircraft.ask(ASKED, who)
+    aircraft.autopilot.words = [word]
+    aircraft.ask(EndLook() if is_end else ConfirmLook(elsewhere["ticket"], 0.0), who)
+    aircraft.now_s += BETWEEN_S
+    is_as_it_was = word == NO_AUTOPILOT  # then nothing was sent
+    assert aircraft.confirm(offered).get("status", "") == ("" if is_as_it_was else "not_looking")
+    assert isinstance(aircraft.autopilot.orders[-1], CircleAbout) == is_as_it_was
+    assert ("ticket" in aircraft.ask(AskCircle(ticket))) == is_as_it_was
+
+
+@pytest.mark.parametrize("word", [NOT_ACKNOWLEDGED, "temporarily_rejected", "command_unsupported_mav_frame", ACCEPTED])
+@pytest.mark.parametrize("who", ["a", "n" * 32])
+def test_however_long_the_names_what_came_of_it_is_whole(who: str, word: str) -> None:
+    far = dataclasses.replace(SET, camera_lat_deg=-53.12345, camera_lon_deg=-153.12345)
+    fix = Locator(far).locate(PIXEL)
+    assert isinstance(fix, Fix)
+    aircraft = Aircraft(Look(max_radius_m=30.0, circle_radius_m=1000.0), feature_set=far)
+    aircraft.autopilot.height_m = 10_000.0
+    look = aircraft.ask(dataclasses.replace(ASKED, lat_deg=fix.lat_deg, lon_deg=fix.lon_deg), who)
+    aircraft.confirm(look, who=who)
+    aircraft.now_s += BETWEEN_S
+    aircraft.autopilot.words = [word]
+    aircraft.confirm(aircraft.ask(AskCircle(look["ticket"]), who), who=who)
+    shown, told = aircraft.thread.newest, f"pointclick: {aircraft.pilot[-1]}"
+    assert shown.startswith(f"{who}: circling ") and shown.endswith(f": {word}") and 60 < len(shown) <= MAX_LOOK
+    assert len(told) <= MAX_CHUNKS * CHUNK_LENGTH and told.startswith(f"pointclick: {who} has the aircraft ci")
+    assert word == ACCEPTED or told.endswith(f": {word}")
+    for text in (shown, told):  # a number is whole, or seen to be cut
+        assert "at 10000 m, radius 1000 m" in text or "..." in text
+
+
 def test_it_looks_ahead_again_when_that_is_asked_for() -> None:
     aircraft = Aircraft()
     assert aircraft.ask(EndLook()) == {"result": "accepted"}
@@ -247,6 +287,7 @@ def test_what_was_long_on_its_way_is_refused_however_long_the_person_waited() ->
     assert aircraft.ask(ConfirmLook(offered["ticket"], 20.0 - LATE_S - 0.1))["status"] == "late"
     assert aircraft.ask(ConfirmLook(offered["ticket"], 20.0 - LATE_S + 0.1))["result"] == "accepted"
     offered = aircraft.ask(ASKED)
+    assert aircraft.ask(ConfirmLook(offered["ticket"], OFFER_S + 0.1))["status"] == "late"  # a dialog left open
     aircraft.now_s += OFFER_S + 0.1
     assert aircraft.ask(ConfirmLook(offered["ticket"], OFFER_S))["status"] == "late"
     assert len(aircraft.autopilot.orders) == 1
