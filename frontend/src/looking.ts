@@ -41,7 +41,7 @@ export class Looking {
   async ahead(vehicle: string): Promise<void> {
     await this.asking(`Asking ${vehicle} to look ahead ...`, null, async () => {
       await api.lookAhead(vehicle);
-      this.show(`Accepted by the autopilot: the camera of ${vehicle} looks ahead again.`, "ok");
+      this.show(`Accepted by the autopilot: the camera of ${vehicle} looks ahead again; the aircraft flies on as it does.`, "ok");
     });
   }
 

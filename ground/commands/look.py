@@ -82,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _ahead(link: LookLink) -> int:
     link.end()
-    print(f"{link.vehicle}: accepted by the autopilot: the camera looks ahead again")
+    print(f"{link.vehicle}: accepted by the autopilot: the camera looks ahead again; the aircraft flies on as it does")
     return ANSWERED
 
 

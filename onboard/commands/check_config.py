@@ -35,6 +35,9 @@ RECEIVED_IN_FLIGHT = {
     "tcp": "connects there; whether an autopilot answers cannot be known before `run` (then: pc-onboard doctor)",
 }
 
+# No error: rights that are taken away for a while leave it so.
+NO_POINTERS = "look.circle_radius_m is set, and link.pointers names no one: this aircraft will not circle"
+
 
 @dataclass(frozen=True)
 class Named:
@@ -62,6 +65,8 @@ def run(arguments: argparse.Namespace) -> int:
     named = look(config) if arguments.fly else []
     for file in config_files(arguments.config):
         print(f"{file}: good")
+    if config.look.circle_radius_m is not None and not config.link.pointers:
+        print(NO_POINTERS)
     for thing in named:
         print(thing)
     return 0 if all(thing.is_there for thing in named) else 1

@@ -32,6 +32,7 @@ NAMES = sorted(
         *WANTED,
         mavlink.MAVLINK_MSG_ID_TIMESYNC,
         mavlink.MAVLINK_MSG_ID_COMMAND_ACK,
+        mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
         mavlink.MAVLINK_MSG_ID_PARAM_VALUE,
         mavlink.MAVLINK_MSG_ID_SYS_STATUS,
     )

@@ -66,7 +66,8 @@ def _command_for(order: Order, kind: int | None) -> _Command | None:
 class _Given:
     order: Order
     command: _Command
-    asked: int = 0  # whether the plane is a VTOL
+    is_for_it: bool  # the vehicle is known to be of the kind that the command is for; before, it is asked
+    asked: int = 0
     sent: int = 0
     sent_ns: int = 0
     is_begun: bool = False  # the autopilot has reported that it is at it
@@ -84,6 +85,12 @@ class _Given:
         )
 
 
+def _question(system: int) -> Any:
+    """Whether a plane is a VTOL: have it send EXTENDED_SYS_STATE."""
+    number, asked = mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE
+    return mavlink.MAVLink_command_long_message(system, AUTOPILOT_COMPONENT, number, 0, asked, 0, 0, 0, 0, 0, 0)
+
+
 class Pointing:
     """A `PointingEnd`. `receive` and `due` are called in the telemetry's thread; `component` is ours."""
 
@@ -92,7 +99,6 @@ class Pointing:
     ) -> None:
         self._component, self._limit_s, self._monotonic_s = component, limit_s, monotonic_s
         self._kind: int | None = None  # MAV_TYPE of the vehicle
-        self._is_plane: bool | None = None  # by its EXTENDED_SYS_STATE no VTOL; None: not reported since it was asked
         self._height: tuple[float, float] | None = None  # above mean sea level, m, and when it came
         self._lock = threading.Lock()
         self._turn = threading.Lock()  # whose command is under way
@@ -104,13 +110,14 @@ class Pointing:
         if command is None:
             return NO_AUTOPILOT if self._kind is None else UNSUPPORTED
         with self._turn:
-            given = _Given(order, command)
+            given = _Given(order, command, is_for_it=command.number != mavlink.MAV_CMD_DO_REPOSITION)
             with self._lock:
                 self._given = given
             given.is_done.wait(self._limit_s)
             with self._lock:  # from here on it is neither sent nor answered
                 self._given = None
-            return given.result or (NOT_ACKNOWLEDGED if given.sent else NO_AUTOPILOT)
+            unsent = UNSUPPORTED if given.asked else NO_AUTOPILOT  # asked, it has not told what it is
+            return given.result or (NOT_ACKNOWLEDGED if given.sent else unsent)
 
     def height_amsl_m(self) -> float | None:
         """Serve `PointingEnd`."""
@@ -126,8 +133,21 @@ class Pointing:
             self._kind = message.type
         elif name == "GLOBAL_POSITION_INT":
             self._height = message.alt / 1000.0, self._monotonic_s()
+        elif name == "EXTENDED_SYS_STATE":
+            self._told(message.vtol_state)
         elif name == "COMMAND_ACK":
             self._acknowledged(message, system)
+
+    def _told(self, vtol_state: int) -> None:
+        with self._lock:
+            given = self._given
+            if given is None or given.is_for_it:
+                return
+            if vtol_state == mavlink.MAV_VTOL_STATE_UNDEFINED:
+                given.is_for_it = True
+                return
+            given.result = UNSUPPORTED
+            given.is_done.set()
 
     def _acknowledged(self, message: Any, system: int | None) -> None:
         # MAVLink 1 acknowledgements name no receiver: 0.
@@ -146,9 +166,14 @@ class Pointing:
         """Return the messages to send now, to an autopilot that is being received."""
         with self._lock:
             given = self._given
-            if given is None or given.result or given.is_begun or given.sent >= MOST_SENT:
+            if given is None or given.result or given.is_begun:
                 return []
-            if given.sent and now_ns - given.sent_ns < AGAIN_NS:
+            count = given.sent if given.is_for_it else given.asked
+            if count >= MOST_SENT or (count and now_ns - given.sent_ns < AGAIN_NS):
                 return []
-            given.sent, given.sent_ns = given.sent + 1, now_ns
+            given.sent_ns = now_ns
+            if not given.is_for_it:
+                given.asked += 1
+                return [_question(system)]
+            given.sent += 1
             return [given.message(system)]

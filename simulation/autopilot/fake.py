@@ -95,6 +95,7 @@ class FakeAutopilot:
         self.counts: Counter[str] = Counter()
         self.roi: tuple[float, float, float] | None = None  # what it looks at: degrees, and metres above sea level
         self.circle: tuple[float, float, float, float] | None = None  # likewise what it circles, and its radius, m
+        self.vtol_state: int | None = int(mavlink.MAV_VTOL_STATE_UNDEFINED)  # which it tells when asked; None: never
         self.roi_results: deque[int | None] = (
             deque()
         )  # of the next commands to look, instead of its own; None: no answer
@@ -425,9 +426,17 @@ class FakeAutopilot:
                     mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2, 0x04070000, 0, 0, 0, none, none, none, 0, 0, 1
                 )
             )
+        elif self._is_asked_what_it_is(command) and self.vtol_state is not None:
+            result = int(mavlink.MAV_RESULT_ACCEPTED)
+            self._send(mavlink.MAVLink_extended_sys_state_message(self.vtol_state, mavlink.MAV_LANDED_STATE_IN_AIR))
         else:
             result = int(mavlink.MAV_RESULT_UNSUPPORTED)
         self._acknowledge(command, result)
+
+    @staticmethod
+    def _is_asked_what_it_is(command: Any) -> bool:
+        asked = command.command, command.param1
+        return asked == (mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE)
 
     def _acknowledge(self, command: Any, result: int) -> None:
         self._send(

@@ -49,6 +49,15 @@ def checked(file: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, list[s
     return code, capsys.readouterr().out.splitlines()
 
 
+@pytest.mark.parametrize("look", ["circle_radius_m = 150.0", "circle_clearance_m = 80.0"])
+def test_a_circle_that_no_one_may_ask_for_is_said_and_is_no_error(
+    look: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "config.toml").write_text(f"[look]\n{look}\n")
+    assert main(["check-config", "--config", str(tmp_path / "config.toml")]) == 0
+    assert ("link.pointers names no one" in capsys.readouterr().out) == ("radius" in look)
+
+
 def test_what_is_there_is_good(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], serial_line: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -113,6 +113,25 @@ def test_what_cannot_circle_is_refused_and_sent_nowhere_instead(style: str, kind
         assert len(commands(autopilot)) == sent and autopilot.circle is None
 
 
+@pytest.mark.parametrize(
+    ("backend", "vtol_state"),
+    [("pymavlink", mavlink.MAV_VTOL_STATE_FW), ("mavsdk", mavlink.MAV_VTOL_STATE_MC), ("pymavlink", None)],
+)
+def test_a_vtol_that_calls_itself_a_plane_as_ardupilots_do_is_sent_nowhere_nor_is_one_that_does_not_tell(
+    backend: str, vtol_state: int | None
+) -> None:
+    with flying(backend, limit_s=1.0, flight=replace(FLIGHT, vehicle_type=mavlink.MAV_TYPE_FIXED_WING)) as (
+        autopilot, pointing, _,
+    ):  # fmt: skip
+        autopilot.vtol_state = vtol_state
+        words: list[str] = []
+        assert eventually(lambda: words.append(pointing.command(ABOUT_HILL)) or words[-1] != NO_AUTOPILOT)
+        assert words[-1] == UNSUPPORTED and commands(autopilot) == [] and autopilot.circle is None
+        assert pointing.command(HILL) == ACCEPTED  # its camera may be turned all the same
+        autopilot.vtol_state = int(mavlink.MAV_VTOL_STATE_UNDEFINED)
+        assert pointing.command(ABOUT_HILL) == ACCEPTED  # asked anew for each
+
+
 def test_the_height_is_the_autopilots_own_of_now() -> None:
     now_s = [100.0]
     pointing = Pointing(191, monotonic_s=lambda: now_s[0])
