@@ -3,8 +3,8 @@
 Public:
 
 - `kept_pictures`: `KEPT_BYTES`, `LEAST`, `RECENT_NS`, `Grey`, `Kept`, `KeptPictures`, `Pictured`
-- `pointing`: `ACCEPTED`, `NOT_ACKNOWLEDGED`, `NO_AUTOPILOT`, `UNSUPPORTED`, `CircleAbout`, `LookAhead`, `LookAt`,
-  `Order`, `PointingEnd`
+- `pointing`: `ACCEPTED`, `NOT_ACKNOWLEDGED`, `NO_AUTOPILOT`, `ON_GROUND`, `UNSUPPORTED`, `CircleAbout`, `LookAhead`,
+  `LookAt`, `Order`, `PointingEnd`
 - `session_clock`: `SessionClock`
 - `sink`: `Sink`
 - `source`: `AircraftReport`, `Emit`, `Severity`, `Source`, `SourceStatus`, `State`, `Stop`,

@@ -33,6 +33,7 @@ from onboard.events.pointing import (
     ACCEPTED,
     NO_AUTOPILOT,
     NOT_ACKNOWLEDGED,
+    ON_GROUND,
     CircleAbout,
     LookAhead,
     LookAt,
@@ -56,6 +57,7 @@ SetOf = Callable[[int], "tuple[bytes, float | None] | None"]
 log = logging.getLogger("pointclick")
 
 UNSENT = {
+    ON_GROUND: "the autopilot reports that the aircraft is on the ground: nothing was sent",
     NO_AUTOPILOT: "no autopilot is received: nothing was sent",
     NOT_ACKNOWLEDGED: "the autopilot has not acknowledged it: it may have been done or not, look at the picture",
 }

@@ -2,9 +2,9 @@
 
 MAV_CMD_DO_SET_ROI_LOCATION and MAV_CMD_DO_SET_ROI_NONE, addressed to the autopilot, which is the gimbal's manager or
 passes them on to it. To circle, MAV_CMD_DO_REPOSITION for a plane, which loiters about the place that it is sent to,
-and MAV_CMD_DO_ORBIT for a multicopter, which would hover there. ArduPilot's VTOLs call themselves planes by default, so
-a plane is first asked whether it is one (EXTENDED_SYS_STATE). As COMMAND_INT: a COMMAND_LONG's 32-bit floats are
-metres off, and have no frame of the height. No link, no thread.
+and MAV_CMD_DO_ORBIT for a multicopter, which would hover there. ArduPilot's VTOLs call themselves planes by default,
+so a plane is first asked whether it is one, and whether it flies (EXTENDED_SYS_STATE). As COMMAND_INT: a
+COMMAND_LONG's 32-bit floats are metres off, and have no frame of the height. No link, no thread.
 """
 
 from __future__ import annotations
@@ -18,7 +18,16 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from onboard.events.pointing import ACCEPTED, NO_AUTOPILOT, NOT_ACKNOWLEDGED, UNSUPPORTED, LookAhead, LookAt, Order
+from onboard.events.pointing import (
+    ACCEPTED,
+    NO_AUTOPILOT,
+    NOT_ACKNOWLEDGED,
+    ON_GROUND,
+    UNSUPPORTED,
+    LookAhead,
+    LookAt,
+    Order,
+)
 from onboard.telemetry.mavlink_events import AUTOPILOT_COMPONENT
 
 AGAIN_NS = 700_000_000  # after which what is not acknowledged is sent again
@@ -66,7 +75,7 @@ def _command_for(order: Order, kind: int | None) -> _Command | None:
 class _Given:
     order: Order
     command: _Command
-    is_for_it: bool  # the vehicle is known to be of the kind that the command is for; before, it is asked
+    is_for_it: bool  # the vehicle is known to be of the command's kind, and to fly; before, it is asked
     asked: int = 0
     sent: int = 0
     sent_ns: int = 0
@@ -86,7 +95,7 @@ class _Given:
 
 
 def _question(system: int) -> Any:
-    """Whether a plane is a VTOL: have it send EXTENDED_SYS_STATE."""
+    """Whether a plane is a VTOL, and whether it flies: have it send EXTENDED_SYS_STATE."""
     number, asked = mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE
     return mavlink.MAVLink_command_long_message(system, AUTOPILOT_COMPONENT, number, 0, asked, 0, 0, 0, 0, 0, 0)
 
@@ -116,7 +125,7 @@ class Pointing:
             given.is_done.wait(self._limit_s)
             with self._lock:  # from here on it is neither sent nor answered
                 self._given = None
-            unsent = UNSUPPORTED if given.asked else NO_AUTOPILOT  # asked, it has not told what it is
+            unsent = UNSUPPORTED if given.asked else NO_AUTOPILOT  # asked, it has not reported what it is
             return given.result or (NOT_ACKNOWLEDGED if given.sent else unsent)
 
     def height_amsl_m(self) -> float | None:
@@ -134,19 +143,22 @@ class Pointing:
         elif name == "GLOBAL_POSITION_INT":
             self._height = message.alt / 1000.0, self._monotonic_s()
         elif name == "EXTENDED_SYS_STATE":
-            self._told(message.vtol_state)
+            self._reported(message)
         elif name == "COMMAND_ACK":
             self._acknowledged(message, system)
 
-    def _told(self, vtol_state: int) -> None:
+    def _reported(self, state: Any) -> None:
         with self._lock:
             given = self._given
             if given is None or given.is_for_it:
                 return
-            if vtol_state == mavlink.MAV_VTOL_STATE_UNDEFINED:
+            if state.vtol_state != mavlink.MAV_VTOL_STATE_UNDEFINED:
+                given.result = UNSUPPORTED
+            elif state.landed_state == mavlink.MAV_LANDED_STATE_ON_GROUND:
+                given.result = ON_GROUND
+            else:
                 given.is_for_it = True
                 return
-            given.result = UNSUPPORTED
             given.is_done.set()
 
     def _acknowledged(self, message: Any, system: int | None) -> None:

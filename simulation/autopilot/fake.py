@@ -95,7 +95,10 @@ class FakeAutopilot:
         self.counts: Counter[str] = Counter()
         self.roi: tuple[float, float, float] | None = None  # what it looks at: degrees, and metres above sea level
         self.circle: tuple[float, float, float, float] | None = None  # likewise what it circles, and its radius, m
-        self.vtol_state: int | None = int(mavlink.MAV_VTOL_STATE_UNDEFINED)  # which it tells when asked; None: never
+        # MAV_VTOL_STATE and MAV_LANDED_STATE, which it reports when asked; None: never.
+        self.extended_state: tuple[int, int] | None = (
+            int(mavlink.MAV_VTOL_STATE_UNDEFINED), int(mavlink.MAV_LANDED_STATE_IN_AIR),
+        )  # fmt: skip
         self.roi_results: deque[int | None] = (
             deque()
         )  # of the next commands to look, instead of its own; None: no answer
@@ -426,9 +429,9 @@ class FakeAutopilot:
                     mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2, 0x04070000, 0, 0, 0, none, none, none, 0, 0, 1
                 )
             )
-        elif self._is_asked_what_it_is(command) and self.vtol_state is not None:
+        elif self._is_asked_what_it_is(command) and self.extended_state is not None:
             result = int(mavlink.MAV_RESULT_ACCEPTED)
-            self._send(mavlink.MAVLink_extended_sys_state_message(self.vtol_state, mavlink.MAV_LANDED_STATE_IN_AIR))
+            self._send(mavlink.MAVLink_extended_sys_state_message(*self.extended_state))
         else:
             result = int(mavlink.MAV_RESULT_UNSUPPORTED)
         self._acknowledge(command, result)

@@ -156,7 +156,7 @@ def test_a_place_that_no_one_reads_or_no_one_confirms_is_not_asked_for(
     assert "no one is there to read and confirm" in capsys.readouterr().err
 
 
-def test_interrupted_after_it_was_confirmed_no_one_is_told_that_nothing_was_done(
+def test_interrupted_after_it_was_confirmed_it_is_not_stated_that_nothing_was_done(
     place: Place, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def confirm(*_: object) -> None:

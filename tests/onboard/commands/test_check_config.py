@@ -50,7 +50,7 @@ def checked(file: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, list[s
 
 
 @pytest.mark.parametrize("look", ["circle_radius_m = 150.0", "circle_clearance_m = 80.0"])
-def test_a_circle_that_no_one_may_ask_for_is_said_and_is_no_error(
+def test_a_circle_that_no_one_may_ask_for_is_stated_and_is_no_error(
     look: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "config.toml").write_text(f"[look]\n{look}\n")

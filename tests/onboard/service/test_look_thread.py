@@ -21,7 +21,16 @@ from contract.mavlink_camera.status_texts import CHUNK_LENGTH, MAX_CHUNKS
 from contract.vehicle_status import MAX_LOOK
 from contract.wire.codec import decode, encode
 from onboard.config.link import Look
-from onboard.events.pointing import ACCEPTED, NO_AUTOPILOT, NOT_ACKNOWLEDGED, CircleAbout, LookAhead, LookAt, Order
+from onboard.events.pointing import (
+    ACCEPTED,
+    NO_AUTOPILOT,
+    NOT_ACKNOWLEDGED,
+    ON_GROUND,
+    CircleAbout,
+    LookAhead,
+    LookAt,
+    Order,
+)
 from onboard.service.look_thread import BETWEEN_S, LookThread
 from tests.contract.sets import plain_set
 
@@ -173,7 +182,7 @@ def test_no_circle_without_its_radius_a_look_before_or_for_another_and_none_of_o
 @pytest.mark.parametrize("who", ["anna", "ben"])
 @pytest.mark.parametrize("word", [ACCEPTED, NOT_ACKNOWLEDGED, "denied", NO_AUTOPILOT])
 @pytest.mark.parametrize("is_end", [True, False])
-def test_a_circle_that_was_offered_is_not_flown_once_the_camera_may_look_elsewhere(
+def test_a_circle_that_was_offered_is_not_done_once_the_camera_may_look_elsewhere(
     who: str, word: str, is_end: bool
 ) -> None:
     aircraft, ticket = looking()
@@ -200,11 +209,11 @@ def test_however_long_the_names_what_came_of_it_is_whole(who: str, word: str) ->
     aircraft.now_s += BETWEEN_S
     aircraft.autopilot.words = [word]
     aircraft.confirm(aircraft.ask(AskCircle(look["ticket"]), who), who=who)
-    shown, told = aircraft.thread.newest, f"pointclick: {aircraft.pilot[-1]}"
+    shown, read = aircraft.thread.newest, f"pointclick: {aircraft.pilot[-1]}"
     assert shown.startswith(f"{who}: circling ") and shown.endswith(f": {word}") and 60 < len(shown) <= MAX_LOOK
-    assert len(told) <= MAX_CHUNKS * CHUNK_LENGTH and told.startswith(f"pointclick: {who} has the aircraft ci")
-    assert word == ACCEPTED or told.endswith(f": {word}")
-    for text in (shown, told):  # a number is whole, or seen to be cut
+    assert len(read) <= MAX_CHUNKS * CHUNK_LENGTH and read.startswith(f"pointclick: {who} has the aircraft ci")
+    assert word == ACCEPTED or read.endswith(f": {word}")
+    for text in (shown, read):  # a number is whole, or seen to be cut
         assert "at 10000 m, radius 1000 m" in text or "..." in text
 
 
@@ -322,6 +331,7 @@ def test_the_camera_is_not_sent_to_and_fro() -> None:
         ("temporarily_rejected", "refuses: temporarily rejected", True),
         (NOT_ACKNOWLEDGED, "has not acknowledged it: it may have been done or not", True),
         (NO_AUTOPILOT, "no autopilot is received: nothing was sent", False),
+        (ON_GROUND, "is on the ground: nothing was sent", True),
     ],
 )
 def test_what_the_autopilot_makes_of_it_is_the_answer(word: str, reason: str, is_shown: bool) -> None:

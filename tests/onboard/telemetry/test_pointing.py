@@ -18,6 +18,7 @@ from onboard.events.pointing import (
     ACCEPTED,
     NO_AUTOPILOT,
     NOT_ACKNOWLEDGED,
+    ON_GROUND,
     UNSUPPORTED,
     CircleAbout,
     LookAhead,
@@ -114,22 +115,27 @@ def test_what_cannot_circle_is_refused_and_sent_nowhere_instead(style: str, kind
 
 
 @pytest.mark.parametrize(
-    ("backend", "vtol_state"),
-    [("pymavlink", mavlink.MAV_VTOL_STATE_FW), ("mavsdk", mavlink.MAV_VTOL_STATE_MC), ("pymavlink", None)],
+    ("backend", "state", "word"),
+    [
+        ("pymavlink", (mavlink.MAV_VTOL_STATE_FW, mavlink.MAV_LANDED_STATE_IN_AIR), UNSUPPORTED),
+        ("mavsdk", (mavlink.MAV_VTOL_STATE_MC, mavlink.MAV_LANDED_STATE_IN_AIR), UNSUPPORTED),
+        ("pymavlink", None, UNSUPPORTED),
+        ("pymavlink", (mavlink.MAV_VTOL_STATE_UNDEFINED, mavlink.MAV_LANDED_STATE_ON_GROUND), ON_GROUND),
+    ],
 )
-def test_a_vtol_that_calls_itself_a_plane_as_ardupilots_do_is_sent_nowhere_nor_is_one_that_does_not_tell(
-    backend: str, vtol_state: int | None
+def test_a_vtol_that_calls_itself_a_plane_as_ardupilots_do_is_sent_nowhere_nor_is_one_that_stands_or_does_not_report(
+    backend: str, state: tuple[int, int] | None, word: str
 ) -> None:
     with flying(backend, limit_s=1.0, flight=replace(FLIGHT, vehicle_type=mavlink.MAV_TYPE_FIXED_WING)) as (
         autopilot, pointing, _,
     ):  # fmt: skip
-        autopilot.vtol_state = vtol_state
+        flies, autopilot.extended_state = autopilot.extended_state, state
         words: list[str] = []
         assert eventually(lambda: words.append(pointing.command(ABOUT_HILL)) or words[-1] != NO_AUTOPILOT)
-        assert words[-1] == UNSUPPORTED and commands(autopilot) == [] and autopilot.circle is None
+        assert words[-1] == word and commands(autopilot) == [] and autopilot.circle is None
         assert pointing.command(HILL) == ACCEPTED  # its camera may be turned all the same
-        autopilot.vtol_state = int(mavlink.MAV_VTOL_STATE_UNDEFINED)
-        assert pointing.command(ABOUT_HILL) == ACCEPTED  # asked anew for each
+        autopilot.extended_state = flies
+        assert pointing.command(ABOUT_HILL) == ACCEPTED  # asked again for each
 
 
 def test_the_height_is_the_autopilots_own_of_now() -> None:
