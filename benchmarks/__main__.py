@@ -149,6 +149,12 @@ BENCHMARKS = (
         ("--seconds", "24", "--seeds", "2", "--autopilots", "5", "--kbit", "2000", "--loss", "0.01"),
         ("--size", "320x240", *QUICK_CODECS, "--loss", "0.01"),
     ),
+    Benchmark(
+        "foreign_clock",
+        "A foreign camera's clock by positions alone",
+        (),
+        ("--flights", "1", "--kinds", "turns", "--rates", "1"),
+    ),
     Benchmark("real_flight", "The real flight"),
 )
 # Programs of this folder that a benchmark starts.

@@ -64,7 +64,7 @@ def fly_path(spec: PathSpec, seconds: float, seed: int) -> Trajectory:
     time = np.arange(-MARGIN_S, seconds + MARGIN_S + STEP_S, STEP_S)
     rng = np.random.default_rng([seed, 404])
     if spec.kind == "hover":
-        east_north = 0.4 * np.stack([_disturbance(rng, time, 3.0, 12.0), _disturbance(rng, time, 3.0, 12.0)], axis=1)
+        east_north = 0.4 * np.stack([disturbance(rng, time, 3.0, 12.0), disturbance(rng, time, 3.0, 12.0)], axis=1)
         track = np.full(len(time), np.radians(spec.heading_deg))
         bank = np.zeros(len(time))
     else:
@@ -78,16 +78,16 @@ def fly_path(spec: PathSpec, seconds: float, seed: int) -> Trajectory:
         else:
             east_north += spec.waypoints_m[0]
         bank = np.arctan(spec.speed_m_s * rate / GRAVITY_M_S2)
-    up = spec.height_m + spec.climb_m_s * time + 0.5 * _disturbance(rng, time, 8.0, 30.0)
+    up = spec.height_m + spec.climb_m_s * time + 0.5 * disturbance(rng, time, 8.0, 30.0)
     sigma = np.radians(spec.wobble_deg)
-    roll = bank + sigma * _disturbance(rng, time, 1.5, 9.0)
-    pitch = np.radians(spec.pitch_deg) + sigma * _disturbance(rng, time, 1.5, 9.0)
-    yaw = track + np.radians(spec.crab_deg) + 2.0 * sigma * _disturbance(rng, time, 3.0, 12.0)
+    roll = bank + sigma * disturbance(rng, time, 1.5, 9.0)
+    pitch = np.radians(spec.pitch_deg) + sigma * disturbance(rng, time, 1.5, 9.0)
+    yaw = track + np.radians(spec.crab_deg) + 2.0 * sigma * disturbance(rng, time, 3.0, 12.0)
     R_enu_body = R_ENU_NED @ matrix_from_euler(roll, pitch, yaw)
     return Trajectory(time, np.column_stack([east_north, up]), R_enu_body)
 
 
-def _disturbance(rng: np.random.Generator, time: Array, shortest_s: float, longest_s: float) -> Array:
+def disturbance(rng: np.random.Generator, time: Array, shortest_s: float, longest_s: float) -> Array:
     """A smooth random function of unit variance, bounded by 3, made of a few tones."""
     period = np.exp(rng.uniform(np.log(shortest_s), np.log(longest_s), WOBBLE_TONES))
     phase = rng.uniform(0.0, 2.0 * np.pi, WOBBLE_TONES)

@@ -24,7 +24,7 @@ from onboard.events.types import PositionFix
 from onboard.foreign_clock.clock_search import Clock, Evidence, Stated, Unknown, search
 from onboard.foreign_clock.log_track import log_track
 from onboard.foreign_clock.motion_cost import MotionNoise
-from onboard.foreign_clock.picture_pairs import chosen_pairs, measure
+from onboard.foreign_clock.picture_pairs import Pairs, chosen_pairs, measure
 from onboard.replay.runner import check_overlap
 from onboard.telemetry.log_clocks import REACH_S
 from onboard.telemetry.telemetry_log import NS_PER_S, TelemetryLog
@@ -67,8 +67,22 @@ def clock_of(
     if max(moments_ns) < begin_ns - reach_ns or min(moments_ns) > end_ns + reach_ns:
         check_overlap(moments_ns, log)  # of another day, which no zone explains
     log = _within(log, min(moments_ns) - reach_ns, max(moments_ns) + reach_ns)
-    track, pairs = log_track(log, config), measure(camera, moments_ns, chosen_pairs(moments_ns), picture)
-    solve, time_s = config.solve, config.solve.attitude_correlation_time_s
+    pairs = measure(camera, moments_ns, chosen_pairs(moments_ns), picture)
+    found = search(evidence_of(log, config, camera, moments_ns, stamp_sigma_s, pairs), stated)
+    if isinstance(found, Unknown):
+        if found.advice:
+            raise InputError(f"clock: {found.reason}. {found.advice}")
+        hint = LOCAL_ADVICE if log.utc_sigma_s is None else ADVICE
+        raise InputError(f"clock: {found.reason}: by how much the camera's is off is not known. {hint}{advice}")
+    return found
+
+
+def evidence_of(
+    log: TelemetryLog, config: Config, camera: Camera, moments_ns: Sequence[int], stamp_sigma_s: float, pairs: Pairs
+) -> Evidence:
+    """Return what a log and the pictures' motion show of the clock, with the errors that both may have."""
+    track, solve = log_track(log, config), config.solve
+    time_s = solve.attitude_correlation_time_s
     tilt_deg = _between_deg(solve.attitude_white_sigma_deg, solve.attitude_sigma_deg, time_s)
     attitudes_deg = [(tilt_deg, _between_deg(solve.heading_white_sigma_deg, solve.heading_sigma_deg, time_s))]
     if not track.has_attitude:
@@ -83,13 +97,7 @@ def clock_of(
         for base_m, height in bases
     ]  # fmt: skip
     age_sigma_s = loosened(config, log).gps.sigma_latency_s
-    found = search(Evidence(track, moments_ns, stamp_sigma_s, pairs, noises, log.shots_ns, age_sigma_s), stated)
-    if isinstance(found, Unknown):
-        if found.advice:
-            raise InputError(f"clock: {found.reason}. {found.advice}")
-        hint = LOCAL_ADVICE if log.utc_sigma_s is None else ADVICE
-        raise InputError(f"clock: {found.reason}: by how much the camera's is off is not known. {hint}{advice}")
-    return found
+    return Evidence(track, moments_ns, stamp_sigma_s, pairs, noises, log.shots_ns, age_sigma_s)
 
 
 def _within(log: TelemetryLog, first_ns: int, last_ns: int) -> TelemetryLog:

@@ -5,5 +5,5 @@ Public:
 - `clock_search`: `REACH_S`, `Clock`, `Evidence`, `Stated`, `Unknown`, `search`
 - `log_track`: `log_track`
 - `motion_cost`: `MotionNoise`
-- `picture_pairs`: `chosen_pairs`, `measure`
+- `picture_pairs`: `Pairs`, `chosen_pairs`, `measure`
 """

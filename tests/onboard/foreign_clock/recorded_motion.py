@@ -1,7 +1,8 @@
 """The motion of pictures that a camera would have taken on a recorded flight, from the truth, without drawing any."""
 
 import itertools
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -27,16 +28,21 @@ Array = NDArray[np.float64]
 CONFIG = parse_config("[mount]\npitch_deg = -90.0\nsigma_deg = 5.0")
 WITHOUT_ATTITUDE = parse_config('[mount]\npitch_deg = -90.0\nsigma_deg = 5.0\n[solve]\nattitude = "none"')
 HALF_FIELD = np.array([0.55, 0.42])
-NOISE = MotionNoise(*np.radians([0.35, 1.2]), 0.5, 0.05, 0.03, 0.003, mount_rad=np.radians(5.0), height=0.3, focal=0.02)
+NOISE = MotionNoise(
+    math.radians(0.35), math.radians(1.2), 0.5, 0.05, 0.03, 0.003, mount_rad=math.radians(5.0), height=0.3, focal=0.02
+)
 
 
 @dataclass(frozen=True)
 class Camera:
-    """What is wrong of it: how it sits (deg), how high the ground is, its focal length (share)."""
+    """What is wrong of it: how it sits (deg), how high the ground is and how steep to east and north, its focal length
+    (share).
+    """
 
     boresight_deg: tuple[float, float, float] = (2.0, -3.0, 2.5)
     ground_m: float = 8.0
     focal: float = 0.02
+    slope: tuple[float, float] = (0.0, 0.0)
 
 
 @cache
@@ -72,28 +78,41 @@ def evidence(
     rng = np.random.default_rng(seed)
     stamped_s = taken_s + jitter_s * rng.normal(size=len(taken_s))
     stamps_ns = [round((epoch_s + t + ahead_s) * 1e9) for t in stamped_s]
-    found = [
-        (stamps, *seen)
-        for *views, stamps in zip(poses, poses[1:], itertools.pairwise(stamps_ns), strict=False)
-        if (seen := _seen(*views, camera, rng)) is not None
-    ]
-    pairs = Pairs(
-        np.array([stamps for stamps, _, _ in found], np.int64).reshape(-1, 2),
-        *(np.array([each[i] for each in found]).reshape(-1, 4, 2) for i in (1, 2)),
-    )
+    pairs = seen_pairs(poses, stamps_ns, itertools.pairwise(range(len(poses))), camera, rng)
     shots_ns = [round((epoch_s + t) * 1e9) for t in shots_s]
     noises = [replace(NOISE, tilt_rad=one, heading_rad=one) for one in np.radians(BY_PATH_DEG)] if by_path else [NOISE]
     return Evidence(track, stamps_ns, 0.03, pairs, noises, shots_ns, 0.1)
 
 
+def seen_pairs(
+    poses: Sequence[Pose],
+    stamps_ns: Sequence[int],
+    chosen: Iterable[tuple[int, int]],
+    camera: Camera,
+    rng: np.random.Generator,
+) -> Pairs:
+    """Return those of the chosen pairs of pictures that share enough ground."""
+    found = [
+        ((stamps_ns[i], stamps_ns[j]), *seen)
+        for i, j in chosen
+        if (seen := _seen(poses[i], poses[j], camera, rng)) is not None
+    ]
+    return Pairs(
+        np.array([stamps for stamps, _, _ in found], np.int64).reshape(-1, 2),
+        *(np.array([each[i] for each in found]).reshape(-1, 4, 2) for i in (1, 2)),
+    )
+
+
 def _seen(first: Pose, second: Pose, camera: Camera, rng: np.random.Generator) -> tuple[Array, Array] | None:
     """Four points of the ground in both pictures, the second's with noise and relief of 3 m."""
+    normal = np.array([-camera.slope[0], -camera.slope[1], 1.0])
 
     def moved(at: Array, relief_m: Array | float = 0.0) -> Array:
         rays = np.column_stack([at, np.ones(len(at))]) @ first.R_enu_cam.T
-        places = first.centre_m + rays * ((camera.ground_m + relief_m - first.centre_m[2]) / rays[:, 2])[:, None]
+        down = rays @ normal
+        places = first.centre_m + rays * ((camera.ground_m + relief_m - first.centre_m @ normal) / down)[:, None]
         q = (places - second.centre_m) @ second.R_enu_cam
-        return np.where((q[:, 2:] > 0.0) & (rays[:, 2:] < 0.0), q[:, :2] / q[:, 2:], 9.0)
+        return np.where((q[:, 2:] > 0.0) & (down[:, None] < 0.0), q[:, :2] / q[:, 2:], 9.0)
 
     grid = np.stack(np.meshgrid(*(np.linspace(-h, h, 7) for h in HALF_FIELD)), -1).reshape(-1, 2)
     both = (np.abs(moved(grid)) < HALF_FIELD).all(axis=1)
