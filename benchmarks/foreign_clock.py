@@ -248,7 +248,7 @@ def row(name: str, scores: Sequence[Score]) -> tuple[str, ...]:
         f"{rms(sigma_s):.3f}",
         f"{ratio:.2f}",
         f"{share:.0%} +- {spread:.0%}",
-        f"{worst:.1f}",
+        f"{worst:.2f}",
         f"{rms(clock_s):.3f}",
         verdict(is_right and worst < GOAL_WORST) if len(answers) >= JUDGED else "",
     )
@@ -281,8 +281,8 @@ def report(scores: Sequence[Score]) -> str:
         "worst, sigmas",
         "clock, s",
     )
-    reasons = Counter(re.sub(r"[+-]*\d+\.\d+", "T", score.reason) for score in scores if score.reason)
-    refused = "\n".join(f"{count} refused: {reason}" for reason, count in reasons.most_common())
+    reasons = Counter((s.kind, re.sub(r"[+-]*\d+\.\d+", "T", s.reason)) for s in scores if s.reason)
+    refused = "\n".join(f"{kind}, {count} refused: {reason}" for (kind, reason), count in reasons.most_common())
     return "\n\n".join(filter(None, (table((*head, ""), rows), refused)))
 
 

@@ -17,10 +17,11 @@ def test_clocks_that_are_off_by_what_their_sigmas_state_reach_the_goal_and_refus
     def pooled(scores: list[Score]) -> str:
         return report([*scores, refused]).split("| all ")[1]
 
-    assert re.search(r"20 of 21 .* 0\.217 .* 1\.08 .* 90% \+- 7% .* 2\.1 .* reached", pooled(honest))
-    assert "NOT" not in pooled(honest) and "1 refused: offsets of T s and T s fit equally" in pooled(honest)
+    assert re.search(r"20 of 21 .* 0\.217 .* 1\.08 .* 90% \+- 7% .* 2\.10 .* reached", pooled(honest))
+    assert "NOT" not in pooled(honest) and "turns, 1 refused: offsets of T s and T s fit equally" in pooled(honest)
     for wrong in (0.5, 1.5, 10.0):
         assert "NOT reached" in pooled([replace(score, sigma_s=0.2 * wrong) for score in honest])
+    assert "NOT reached" in pooled([*honest[:-1], replace(honest[-1], error_s=0.61)])  # for one alone
     assert "reached" not in pooled(honest[1:])  # too few to be judged
 
 
