@@ -16,7 +16,17 @@ from onboard.spots.clutter_tail import LARGEST, ClutterTail
 from onboard.spots.contrast import Contrast, Image, contrast, in_picture
 from onboard.spots.ground_scale import USUAL_M, GroundScale, ground_scale, usual_scale
 from onboard.spots.ground_view import GroundView
-from onboard.spots.regions import MOST_REGIONS, Part, Region, about_peak, above, peaks, region_of, size_limits
+from onboard.spots.regions import (
+    MOST_REGIONS,
+    Part,
+    Region,
+    about_peak,
+    above,
+    is_filled,
+    peaks,
+    region_of,
+    size_limits,
+)
 from onboard.spots.tried_people import Tried, TriedPeople
 from onboard.spots.would_find import found_at
 
@@ -81,7 +91,7 @@ class Detector:
                     found.append(replace(region, significance=region.contrast / max(must, 1e-6)))
         if self._scale is not None:
             self._try_people(values, contrasts, pixel_m, its_set, ground, origin)
-        return apart(sorted(found, key=lambda region: -region.significance))
+        return apart(sorted(_wholes_first(found, values), key=lambda region: -region.significance))
 
     def _try_people(
         self, values: Image, contrasts: list[Contrast], pixel_m: float, its_set: FeatureSet,
@@ -128,6 +138,21 @@ class Detector:
         return above(values, usual, size, level, self._config.smallest_m2 / pixel_m**2)
 
 
+def _wholes_first(regions: list[Region], values: Image) -> list[Region]:
+    """Regions of a picture (H, W), of which one that is filled by what is as hot comes before two parts of it or more.
+
+    A large thing's corners stand out of surroundings that it fills itself: by a small thing's size they are several.
+    """
+    out = []
+    for region in regions:
+        parts = apart([one for one in regions if one.pixels < region.pixels and _is_in_box(one.uv_px, region)])
+        least = region.significance
+        if len(parts) > 1 and is_filled(region, values):
+            least = max(least, float(np.nextafter(max(part.significance for part in parts), np.inf)))
+        out.append(replace(region, significance=least))
+    return out
+
+
 def apart(regions: list[Region]) -> list[Region]:
     """Without those that lie about the middle of one before them, or have their own middle in it."""
     kept: list[Region] = []
@@ -143,5 +168,6 @@ def are_one(region: Region, other: Region) -> bool:
 
 
 def _is_in_box(uv_px: Array, region: Region) -> bool:
-    low, high = region.outline_px.min(axis=0), region.outline_px.max(axis=0)
+    edge_px = region.pixels - 1.0  # to a pixel of the coarser picture in which it was found
+    low, high = region.outline_px.min(axis=0) - edge_px, region.outline_px.max(axis=0) + edge_px
     return bool(np.all((low <= uv_px) & (uv_px <= high)))

@@ -17,6 +17,7 @@ LEAST_APART_PX = 2
 MOST_REGIONS = 24
 MOST_POINTS, ROUGHEST_PX = 120, 0.25
 REACH_SIDES, LEAST_SIDE = 1.5, 0.5  # a thing is no farther about its peak and no smaller, in sides of its size
+FILLED = 0.5  # of a region, above half of its height: of several things apart it is less, (25.3) has blurred them
 LENS_PX = 0.6  # one sigma of a thermal camera's blur; a pixel's own width comes on top
 
 
@@ -106,6 +107,16 @@ def region_of(c: Contrast, part: Part, contrast: float) -> Region | None:
     # The lens; in the coarser picture a pixel's width and its smoothing.
     blur_px = float(np.sqrt(LENS_PX**2 + c.times**2 * (1.0 / 12.0 + BLUR_PX**2)))
     return replace(region, uv_px=uv, outline_px=outline, contrast=contrast, pixels=c.times, blur_px=blur_px)
+
+
+def is_filled(region: Region, values: Image) -> bool:
+    """Return whether most of a region's outline, in a picture (H, W), holds what is above half of its height."""
+    low = np.maximum(np.floor(region.outline_px.min(axis=0)), 0.0).astype(int)
+    right, down = np.ceil(region.outline_px.max(axis=0)).astype(int) + 1
+    part = values[low[1] : down, low[0] : right]
+    inside = np.zeros(part.shape, np.uint8)
+    cv2.fillPoly(inside, [np.round(region.outline_px - low).astype(np.int32)], 1)
+    return float(np.mean(part[inside > 0] > region.hottest - 0.5 * region.above)) > FILLED
 
 
 def above(values: Image, ground: float, contrast: Image, level: Image, least_px: float) -> list[Region]:

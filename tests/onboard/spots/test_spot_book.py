@@ -141,6 +141,18 @@ def test_a_small_camera_finds_a_car() -> None:
     assert 4.0 < largest.area_m2 < 15.0 and abs(largest.area_m2 - 7.2) < 2.0 * largest.sigma_area_m2
 
 
+def test_a_car_from_near_is_one_thing_as_large_as_it_is_and_two_people_next_to_each_other_are_two() -> None:
+    """Each corner of it alone stands out more than it does as a whole."""
+    near, people = replace(CALM, sources=(HeatSource.car((3.0, 8.0)),)), ((3.0, 8.0), (3.0, 10.0))
+    spot = max(simulated(Scene(near, height_m=60.0, step_m=2.0), range(4))[-1].spots, key=lambda s: s.contrast)
+    for report in simulated(Scene(near, height_m=60.0, step_m=2.0), range(4))[1:]:
+        assert len(report.spots) == 1
+    assert 5.0 < spot.area_m2 < 10.0
+    two = replace(CALM, sources=tuple(HeatSource.person(place) for place in people))
+    last = simulated(Scene(two, height_m=60.0, step_m=2.0), range(4))[-1]
+    assert len(last.spots) == 2 and max(off_m(last, place) for place in people) < 0.3
+
+
 def test_another_session_begins_again_and_pictures_without_counts_are_passed_over() -> None:
     scene, book = Scene(CALM), SpotBook("uav-1", SpotsConfig(), CALIBRATED)
     for k in range(2):
