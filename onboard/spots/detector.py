@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -145,7 +146,7 @@ def _wholes_first(regions: list[Region], values: Image) -> list[Region]:
     """
     out = []
     for region in regions:
-        parts = apart([one for one in regions if one.pixels < region.pixels and _is_in_box(one.uv_px, region)])
+        parts = apart([one for one in regions if one.pixels < region.pixels and _is_in(one.uv_px, region)])
         least = region.significance
         if len(parts) > 1 and is_filled(region, values):
             least = max(least, float(np.nextafter(max(part.significance for part in parts), np.inf)))
@@ -164,10 +165,11 @@ def apart(regions: list[Region]) -> list[Region]:
 
 def are_one(region: Region, other: Region) -> bool:
     """Return whether one of two regions lies about the middle of the other."""
-    return _is_in_box(region.uv_px, other) or _is_in_box(other.uv_px, region)
+    return _is_in(region.uv_px, other) or _is_in(other.uv_px, region)
 
 
-def _is_in_box(uv_px: Array, region: Region) -> bool:
-    edge_px = region.pixels - 1.0  # to a pixel of the coarser picture in which it was found
-    low, high = region.outline_px.min(axis=0) - edge_px, region.outline_px.max(axis=0) + edge_px
-    return bool(np.all((low <= uv_px) & (uv_px <= high)))
+def _is_in(uv_px: Array, region: Region) -> bool:
+    """Return whether a place is within a region's outline, to a pixel of the coarser picture that it was found in."""
+    u, v = (float(px) for px in uv_px)
+    distance_px = cv2.pointPolygonTest(region.outline_px.astype(np.float32), (u, v), measureDist=True)
+    return distance_px >= 1.0 - region.pixels

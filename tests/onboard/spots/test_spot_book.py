@@ -151,6 +151,9 @@ def test_a_car_from_near_is_one_thing_as_large_as_it_is_and_two_people_next_to_e
     two = replace(CALM, sources=tuple(HeatSource.person(place) for place in people))
     last = simulated(Scene(two, height_m=60.0, step_m=2.0), range(4))[-1]
     assert len(last.spots) == 2 and max(off_m(last, place) for place in people) < 0.3
+    by_it = replace(CALM, sources=(HeatSource.car((3.0, 8.0)), HeatSource.person((4.6, 10.4))))
+    last = simulated(Scene(by_it, height_m=60.0, step_m=2.0), range(4))[-1]
+    assert len(last.spots) == 2 and off_m(last, (4.6, 10.4)) < 0.4
 
 
 def test_another_session_begins_again_and_pictures_without_counts_are_passed_over() -> None:
