@@ -59,7 +59,7 @@ JUDGED = 20  # answers at least, for a verdict
 
 @dataclass(frozen=True)
 class Receiver:
-    """What is wrong of positions: their age and a low pass (s), errors that are slow (3, m), short and white (m)."""
+    """The errors of positions: their age and a low pass (s), errors that are slow (3, m), short and white (m)."""
 
     late_s: float
     low_pass_s: float

@@ -236,7 +236,7 @@ def find_tracks(spec: SampledSpec, seed: int, *, is_even: bool = True) -> Found:
 
 
 def take_motion(course: Course | None, true_m_s: Array, found: Found) -> None:
-    """What is said of the motion of a thing whose velocity (2,) is known, unless either is at rest."""
+    """Add the errors of speed and course of a thing whose velocity (2,) is known to `found`, unless it is at rest."""
     speed_m_s = float(np.hypot(*true_m_s))
     if course is None or course.course_deg is None or course.sigma_course_deg is None or speed_m_s == 0.0:
         return
@@ -263,7 +263,7 @@ def traffic(flight: SampledFlight, *, is_even: bool = True) -> list[MoverSpec]:
 
 
 def manners_of(rng: np.random.Generator, from_s: float) -> tuple[Manoeuvre, ...]:
-    """How a car speeds up, brakes and turns from a time on, one manner after another, for a minute."""
+    """Return a car's speeding up, braking and turning from a time on, one manner after another, for a minute."""
     ends = from_s + np.concatenate([[0.0], np.cumsum(rng.exponential(MANNER_S, 12))])
     gained, turned = rng.normal(0.0, [[ACCELERATION_M_S2], [np.degrees(TURN_RAD_S)]], (2, 12))
     return tuple(map(Manoeuvre, *(values.tolist() for values in (ends[:-1], ends[1:], gained, turned))))

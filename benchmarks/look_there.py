@@ -23,10 +23,10 @@ from typing import Any
 import numpy as np
 from pymavlink import mavutil
 
-from benchmarks.machine import describe, table, verdict
-from benchmarks.radio import ENDS_WITHIN_S, autopilot
+from benchmarks.machine import table, verdict
+from benchmarks.radio import ENDS_WITHIN_S, autopilot, with_simulator
 from contract.answer import Fix
-from contract.geodesy import LocalFrame
+from contract.geodesy import LocalFrame, within_180
 from contract.locate import Locator
 from contract.look import AskCircle, AskLook, ConfirmLook, LookRequest, Offer, parameters_of
 from contract.wire.codec import decode, encode
@@ -145,7 +145,7 @@ def watched(ground: Ground, offer: Offer, seconds: float) -> Seen:
             w, x, y, z = gimbal.q
             yaw_deg = math.degrees(math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))
             wanted_deg = math.degrees(math.atan2(-east_m, -north_m)) - m.hdg / 100.0  # from the nose
-            seen.off_yaw_deg.append(abs((yaw_deg - wanted_deg + 180.0) % 360.0 - 180.0))
+            seen.off_yaw_deg.append(abs(within_180(yaw_deg - wanted_deg)))
     return seen
 
 
@@ -178,17 +178,10 @@ def report(offer: Offer, looked: dict[str, Any], circled: dict[str, Any], seen: 
 def main() -> int:
     """0 if the goals are reached or there is no autopilot, 1 if not."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--autopilot", metavar="CMD", help="starts the simulator")
-    parser.add_argument("--onboard", metavar="URL", help="the companion's port, as telemetry.url")
-    parser.add_argument("--ground", metavar="ADDRESS", help="the ground station's port, as mavutil's")
     parser.add_argument("--seconds", type=float, default=90.0)
-    wanted = parser.parse_args()
-    print(describe())
-    if wanted.autopilot is None:
-        print("LEFT OUT: no autopilot given, so nothing was measured (--autopilot CMD --onboard URL --ground ADDRESS)")
+    wanted = with_simulator(parser, "ADDRESS", "the ground station's port, as mavutil's")
+    if wanted is None:
         return 0
-    if wanted.onboard is None or wanted.ground is None:
-        parser.error("--autopilot needs --onboard and --ground")
     with autopilot(wanted.autopilot), companion(wanted.onboard) as pointing:
         ground = Ground(wanted.ground)
         offer, looked, circled = ordered(pointing, ground.take_off())

@@ -138,21 +138,32 @@ def report(alone: NDArray[np.float64], with_us: NDArray[np.float64], took_s: lis
     return p95_s <= ANSWER_S and later_ms <= LATER_MS
 
 
-def main() -> int:
-    """0 if the goals are reached or there is no autopilot, 1 if not."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+def with_simulator(parser: argparse.ArgumentParser, ground: str, about_ground: str) -> argparse.Namespace | None:
+    """Read the options, with those of a simulator and its two ports, `ground` the name of the second one's; None where
+    there is no simulator, and that is printed.
+    """
     parser.add_argument("--autopilot", metavar="CMD", help="starts the simulator")
     parser.add_argument("--onboard", metavar="URL", help="the companion's port, as telemetry.url")
-    parser.add_argument("--ground", metavar="ENDPOINT", help="the radio's port, as --connect mavlink:...")
-    parser.add_argument("--seconds", type=float, default=60.0)
-    parser.add_argument("--bit-rate", type=float, default=4800.0)
+    parser.add_argument("--ground", metavar=ground, help=about_ground)
     wanted = parser.parse_args()
     print(describe())
     if wanted.autopilot is None:
-        print("LEFT OUT: no autopilot given, so nothing was measured (--autopilot CMD --onboard URL --ground ENDPOINT)")
-        return 0
+        options = f"--autopilot CMD --onboard URL --ground {ground}"
+        print(f"LEFT OUT: no autopilot given, so nothing was measured ({options})")
+        return None
     if wanted.onboard is None or wanted.ground is None:
         parser.error("--autopilot needs --onboard and --ground")
+    return wanted
+
+
+def main() -> int:
+    """0 if the goals are reached or there is no autopilot, 1 if not."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--bit-rate", type=float, default=4800.0)
+    wanted = with_simulator(parser, "ENDPOINT", "the radio's port, as --connect mavlink:...")
+    if wanted is None:
+        return 0
     endpoint = MavlinkEndpoint.parse(SCHEME + wanted.ground.removeprefix(SCHEME))
     with autopilot(wanted.autopilot), Listener(endpoint) as ground, companion(wanted.onboard, wanted.bit_rate):
         ground.ask(320.0, 240.0)  # until it is there

@@ -29,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.answer import Ellipse, Fix
+from contract.geodesy import within_180
 from contract.locate import Locator
 from contract.rotations import mount_rotation
 from contract.track import TrackReport, TrackState
@@ -200,7 +201,7 @@ def most_off_px(mover: MoverSpec) -> float:
 
 def turned_deg(course_deg: float, true_deg: float) -> float:
     """The error of a course, -180 to 180."""
-    return (course_deg - true_deg + 180.0) % 360.0 - 180.0
+    return within_180(course_deg - true_deg)
 
 
 def score_places(

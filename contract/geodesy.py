@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
+Angle = TypeVar("Angle", float, NDArray[np.float64])
 
 WGS84_A_M = 6378137.0
 EARTH_RADIUS_M = 6.371e6  # mean
@@ -73,6 +75,11 @@ def metres_per_degree(lat_deg: ArrayLike) -> tuple[Array, Array]:
     w2 = 1.0 - _E2 * np.sin(lat) ** 2
     degree = np.pi / 180.0 * WGS84_A_M / np.sqrt(w2)
     return degree * (1.0 - _E2) / w2, degree * np.cos(lat)
+
+
+def within_180(degrees: Angle) -> Angle:
+    """Return the same angle in [-180, 180) degrees."""
+    return (degrees + 180.0) % 360.0 - 180.0
 
 
 def level_ground_m(east_m: ArrayLike, north_m: ArrayLike) -> Array:

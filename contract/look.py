@@ -64,7 +64,7 @@ LookRequest = AskLook | ConfirmLook | EndLook | AskCircle
 
 @dataclass(frozen=True)
 class Circle:
-    """What the aircraft would fly: a radius, a height above mean sea level, and that height above the place, m."""
+    """The circle that the aircraft would fly: radius, height above mean sea level, and that above the place, m."""
 
     radius_m: float
     height_amsl_m: float

@@ -8,6 +8,7 @@ from pathlib import PurePath
 from typing import Any
 
 from contract.answer import time_utc
+from contract.geodesy import within_180
 from contract.xml_text import KML, document, element
 from ground.spots.fire import Area, Fire, Ring
 
@@ -65,19 +66,13 @@ def _kml(fire: Fire) -> str:
             for name, rings in (("outerBoundaryIs", [outer]), ("innerBoundaryIs", holes)):
                 for ring in rings:
                     line = element(element(polygon, tag(name)), tag("LinearRing"))
-                    element(
-                        line, tag("coordinates"), " ".join(f"{_within_180(lon):.8f},{lat:.8f}" for lon, lat in ring)
-                    )
+                    # KML's readers close a ring over the 180th meridian by themselves.
+                    element(line, tag("coordinates"), " ".join(f"{within_180(lon):.8f},{lat:.8f}" for lon, lat in ring))
     return document(root)
 
 
 def _areas(fire: Fire) -> list[tuple[str, Area]]:
     return [("perhaps", fire.perhaps), ("burned", fire.burned), ("surely", fire.surely)]
-
-
-def _within_180(lon_deg: float) -> float:
-    """As KML has it, whose readers close a ring over the 180th meridian by themselves."""
-    return (lon_deg + 180.0) % 360.0 - 180.0
 
 
 def _digits(ring: Ring) -> list[list[float]]:

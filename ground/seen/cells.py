@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from contract.errors import InputError
-from contract.geodesy import metres_per_degree
+from contract.geodesy import metres_per_degree, within_180
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -51,7 +51,7 @@ class Cells:
     def places(self, lat_deg: ArrayLike, lon_deg: ArrayLike) -> tuple[Array, Array]:
         """Rows and columns of places, with fractions."""
         lat, lon = np.asarray(lat_deg, float), np.asarray(lon_deg, float)
-        east = (lon - self.lon0_deg + 180.0) % 360.0 - 180.0
+        east = within_180(lon - self.lon0_deg)
         return np.asarray(lat / self.step_lat_deg), np.asarray(east / self.step_lon_deg)
 
     def lat_deg(self, row: ArrayLike) -> Array:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.answer import CONFIDENCE, Ellipse, time_utc
-from contract.geodesy import LocalFrame, geodetic_to_ecef, level_ground_m
+from contract.geodesy import LocalFrame, geodetic_to_ecef, level_ground_m, within_180
 from contract.spot import Spot, SpotReport
 from ground.seen.outline import cells_inside, patches
 from ground.spots.fire_spread import Front, spread
@@ -237,7 +237,7 @@ class _Grid:
         # A plane at the ellipsoid's height 0 there.
         up = level_ground_m(*place.T)
         lat, lon, _ = self.frame.to_geodetic(np.column_stack([place, up])).T
-        lon = self.frame.lon_deg + (lon - self.frame.lon_deg + 180.0) % 360.0 - 180.0
+        lon = self.frame.lon_deg + within_180(lon - self.frame.lon_deg)
         out = [(float(x), float(y)) for x, y in zip(lon, lat, strict=True)]
         return [*out, out[0]]
 

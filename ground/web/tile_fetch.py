@@ -17,7 +17,7 @@ from urllib.parse import SplitResult, urljoin, urlsplit
 
 from contract.errors import InputError
 from ground.web.guard import origin_of
-from ground.web.tiles import Tiles
+from ground.web.tiles import LAST_ZOOM, Tiles
 
 USER_AGENT = "pointclick (offline map of one area, one connection)"
 MAX_TILE_BYTES = 2_000_000
@@ -198,7 +198,7 @@ def described(tiles: Tiles, fetcher: Fetcher) -> Description:
         scheme = about.get("scheme", "xyz")
     except (ValueError, TypeError, LookupError, AttributeError, OverflowError, RecursionError) as error:
         raise FetchError(f"{fetcher.host} sends no TileJSON there") from error
-    is_usable = all(f"{{{axis}}}" in template for axis in "zxy") and 0 <= least <= most <= 30
+    is_usable = all(f"{{{axis}}}" in template for axis in "zxy") and 0 <= least <= most <= LAST_ZOOM
     if not is_usable or scheme not in ("xyz", "tms"):
         raise FetchError(f"{fetcher.host} sends a TileJSON whose tiles, zooms or scheme cannot be used")
     if origin_of(template) != tiles.origin:

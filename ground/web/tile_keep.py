@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from contract.errors import InputError
-from ground.web.tiles import Bounds
+from ground.web.tiles import Bounds, is_of_map
 
 Range = tuple[int, int, int, int]
 """First and last column, first and last row of tiles; rows count from the north."""
@@ -74,7 +74,7 @@ class TileKeep:
 
     def tile(self, z: int, x: int, y: int) -> bytes | None:
         """A tile as it was kept; None for one that is not here."""
-        if not 0 <= z <= 30 or not 0 <= x < 1 << z or not 0 <= y < 1 << z:
+        if not is_of_map(z, x, y):
             return None
         query = "SELECT tile_data FROM tiles WHERE zoom_level = ? AND tile_column = ? AND tile_row = ?"
         return next((bytes(data) for (data,) in self._rows(query, (z, x, (1 << z) - 1 - y))), None)

@@ -26,7 +26,7 @@ MEDIA = {
 }
 _PMTILES_TYPE_AT, _VECTOR = 99, 1  # of the header's byte that specifies the tiles' type
 _PMTILES_ZOOMS_AT = 100  # two bytes; then west, south, east, north as little-endian 1e-7 degrees
-DEEPEST = 30  # zoom of any map
+LAST_ZOOM = 30  # of any map
 _MERCATOR_LAT = 85.051129  # where the square map of the world ends
 Bounds = tuple[float, float, float, float]
 """West, south, east, north, in degrees."""
@@ -101,12 +101,17 @@ def _mbtiles(path: Path, attribution: str) -> Tiles:
         raise InputError(f"tiles {path}: not an MBTiles file ({error})") from error
     if most is None:
         raise InputError(f"tiles {path}: holds no tiles")
-    if not all(isinstance(n, int) for n in (least, most, *edges)) or not 0 <= least <= most <= DEEPEST:
+    if not all(isinstance(n, int) for n in (least, most, *edges)) or not 0 <= least <= most <= LAST_ZOOM:
         raise InputError(f"tiles {path}: not an MBTiles file (its zooms, columns and rows are not those of a map)")
     kind = str(about.get("format", "png"))
     bounds = _stated_bounds(str(about.get("bounds", ""))) or _tiles_bounds(int(least), *edges)
     text = attribution or str(about.get("attribution", ""))[:300]
     return Tiles("mbtiles", path, "/tiles/{z}/{x}/{y}", "", kind, int(most), text, int(least), bounds)
+
+
+def is_of_map(z: int, x: int, y: int) -> bool:
+    """Return whether there is a tile of that zoom, column and row on a map of the world."""
+    return 0 <= z <= LAST_ZOOM and 0 <= x < 1 << z and 0 <= y < 1 << z
 
 
 def _connected(path: Path | None) -> sqlite3.Connection:
@@ -149,7 +154,7 @@ class MbTiles:
 
     def tile(self, z: int, x: int, y: int) -> tuple[bytes, bool] | None:
         """A tile, and whether it is compressed by gzip; None if the file has none there."""
-        if not 0 <= z <= 30 or not 0 <= x < 1 << z or not 0 <= y < 1 << z:
+        if not is_of_map(z, x, y):
             return None
         query = "SELECT tile_data FROM tiles WHERE zoom_level = ? AND tile_column = ? AND tile_row = ?"
         with self._lock:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -239,9 +240,14 @@ class _Cost:
     def __init__(self, evidence: Evidence, noise: MotionNoise, stated: Stated | None) -> None:
         self.evidence, self._noise, self._stated = evidence, noise, stated
         pairs, self._every = evidence.pairs, max(-(-len(evidence.pairs) // COARSE_PAIRS), 1)
-        some = Pairs(pairs.moments_ns[:: self._every], pairs.at[:: self._every], pairs.to[:: self._every])
         self.motion = MotionCost(evidence.track, pairs, noise)
-        self._some = MotionCost(evidence.track, some, noise)
+
+    @cached_property
+    def _some(self) -> MotionCost:
+        """The cost of some of many pairs, evenly over the flight."""
+        pairs, every = self.evidence.pairs, self._every
+        some = Pairs(pairs.moments_ns[::every], pairs.at[::every], pairs.to[::every])
+        return self.motion if every == 1 else MotionCost(self.evidence.track, some, self._noise)
 
     def with_age(self, age_s: float) -> _Cost:
         """The same where the log's positions are older than its attitudes by so much; of what has no attitude, where

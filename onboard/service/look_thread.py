@@ -19,9 +19,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from contract.answer import EXPLANATIONS, Fix
-from contract.circular_error import ce90_m
+from contract.circular_error import ce90_m, le90_m
 from contract.errors import InputError
-from contract.geodesy import metres_per_degree
+from contract.geodesy import metres_per_degree, within_180
 from contract.locate import Locator
 from contract.look import LATE_S, OFFER_S, AskCircle, AskLook, Circle, ConfirmLook, EndLook, Offer, read_request
 from contract.supervised_thread import SupervisedThread, WokenWork
@@ -49,7 +49,6 @@ MOST_REST_S = 0.1
 IDLE_S = 0.5
 CUT = "..."
 MAX_NOTICE = 88  # characters for the pilot: "pointclick: " goes before it, and a text has 100
-SIDE_95 = 1.645  # standard deviations, one-sided 95 %
 
 Done = Callable[[bytes, bool], object]  # takes the answer, and whether it is a refusal
 SetOf = Callable[[int], "tuple[bytes, float | None] | None"]
@@ -194,18 +193,19 @@ class LookThread(WokenWork):
         if height_m is None:
             raise _Refused("no_height", "the autopilot does not send its height above mean sea level")
         above_m = height_m - place.height_amsl_m
-        if not above_m - SIDE_95 * looked_at.height_sigma_m >= limits.circle_clearance_m:
+        known_m = le90_m(looked_at.height_sigma_m)  # which one error of twenty exceeds upwards
+        if not above_m - known_m >= limits.circle_clearance_m:
             limit = f"look.circle_clearance_m = {limits.circle_clearance_m:g}"
-            known = f"+-{SIDE_95 * looked_at.height_sigma_m:.0f} m"
             raise _Refused(
-                "too_low", f"the aircraft is {above_m:.0f} m above the place ({known}), and {limit}: climb first"
+                "too_low",
+                f"the aircraft is {above_m:.0f} m above the place (+-{known_m:.0f} m), and {limit}: climb first",
             )
         circle = Circle(limits.circle_radius_m, height_m, above_m)
         offer = replace(place, ticket=secrets.token_hex(8), age_s=age_s, circle=circle)
         return self._keep(replace(looked_at, offer=offer, at_s=now_s, about=place.ticket, outcome=None))
 
     def _looking(self, who: str, ticket: str) -> _Offered:
-        """What the camera was sent to look at last, if it was this person by this ticket."""
+        """Return the look that was commanded last. Raises _Refused if it was not this person's by this ticket."""
         looked_at = self._looked_at
         if looked_at is None or (looked_at.who, looked_at.offer.ticket) != (who, ticket):
             raise _Refused(
@@ -282,5 +282,4 @@ def _with_outcome(what: str, word: str, most: int) -> str:
 def _apart_m(one: tuple[float, float], other: tuple[float, float]) -> float:
     """The horizontal distance of two places (latitude, longitude, degrees), m."""
     north_m, east_m = (float(scale) for scale in metres_per_degree(one[0]))
-    east_deg = (other[1] - one[1] + 180.0) % 360.0 - 180.0
-    return math.hypot((other[0] - one[0]) * north_m, east_deg * east_m)
+    return math.hypot((other[0] - one[0]) * north_m, within_180(other[1] - one[1]) * east_m)

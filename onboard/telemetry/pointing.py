@@ -95,7 +95,7 @@ class _Given:
 
 
 def _question(system: int) -> Any:
-    """Whether a plane is a VTOL, and whether it flies: have it send EXTENDED_SYS_STATE."""
+    """Return the request for EXTENDED_SYS_STATE, which states whether a plane is a VTOL, and whether it flies."""
     number, asked = mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE
     return mavlink.MAVLink_command_long_message(system, AUTOPILOT_COMPONENT, number, 0, asked, 0, 0, 0, 0, 0, 0)
 

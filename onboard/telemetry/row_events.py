@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from contract.errors import InputError
+from contract.geodesy import within_180
 from onboard.events.types import GpsQuality, NavEvent, PositionFix, RangeFinder
 from onboard.telemetry.contradictions import LEAST_SHARE, agreeing
 from onboard.telemetry.srt_axis_order import METRES_A_DEGREE
@@ -129,7 +130,7 @@ def _position(stamp_ns: int, row: Row) -> PositionFix:
     velocity = None
     if VELOCITY[0] in row and VELOCITY[1] in row:
         velocity = row[VELOCITY[0]], row[VELOCITY[1]], row.get(VELOCITY[2], math.nan)
-    lon_deg = (row["lon_deg"] + 180.0) % 360.0 - 180.0
+    lon_deg = within_180(row["lon_deg"])
     return PositionFix(stamp_ns, row["lat_deg"], lon_deg, row["height_amsl_m"], velocity, row.get(ABOVE_HOME))
 
 

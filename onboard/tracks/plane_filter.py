@@ -121,7 +121,7 @@ class PlaneFilter:
         return self.motion.cov * dt**2 + q * dt**3 / 3.0 * np.eye(2)
 
     def _weights(self) -> Array:
-        """Of each model (M, 2): along its way, and across it. How it accelerates is the same for both. (24.14)"""
+        """Return the models' weights (M, 2), along its way and across it; how it accelerates is shared. (24.14)"""
         by_axis = np.exp(self._log_weight - self._log_weight.max(axis=0)).reshape(len(SCALES), len(DENSITIES), 2)
         weights = (by_axis * by_axis.sum(axis=0)[:, ::-1]).reshape(-1, 2)
         return np.asarray(weights / weights.sum(axis=0), float)
