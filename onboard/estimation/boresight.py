@@ -33,7 +33,7 @@ from onboard.estimation.platform_states import (
     WALK,
     present,
 )
-from onboard.geometry.robust import OUTLIER_SIGMAS
+from onboard.geometry.robust import OUTLIER_SIGMAS, student_widening
 from onboard.navigation.limits import SURE_SIGMAS
 
 Array = NDArray[np.float64]
@@ -227,9 +227,13 @@ class Alignment:
 
     @property
     def disagreement(self) -> Array:
-        """(B,) factor on one sigma by which windows differ more than their covariances allow; 1 if they agree."""
-        mean_square = (AGREEMENT_PRIOR + self._squares) / (AGREEMENT_PRIOR + self._counts)
-        return np.sqrt(np.maximum(mean_square, 1.0))[: len(self.platform.mean)]
+        """(B,) factor on one sigma by which windows differ more than their covariances allow; 1 if they agree.
+
+        What is beyond their covariances is known from few squares only, and wider by Student's t for as many. (6.13)
+        """
+        squares = AGREEMENT_PRIOR + self._counts
+        beyond = np.maximum((AGREEMENT_PRIOR + self._squares) / squares - 1.0, 0.0)
+        return np.sqrt(1.0 + beyond * student_widening(squares) ** 2)[: len(self.platform.mean)]
 
     def _agreed(self, before: PlatformEstimate, mean: Array, covariance: Array) -> tuple[Array, Array]:
         """The posterior with all windows' information weakened by how far they disagree, this one's too. (6.13)"""

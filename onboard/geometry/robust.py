@@ -7,7 +7,7 @@ from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri
+from scipy.special import chdtri, ndtri, stdtrit
 
 Array = NDArray[np.float64]
 Model = TypeVar("Model")
@@ -25,6 +25,14 @@ def middle(values: Array) -> float:
 def median_chi2(freedoms: int) -> float:
     """The median of chi-square with so many degrees of freedom."""
     return float(chdtri(freedoms, 0.5))
+
+
+def student_widening(freedoms: Array | float) -> Array:
+    """The factor on one sigma that was estimated from so many squares, by which it holds 90 % as a known one does.
+
+    The quantiles of Student's t over those of the normal distribution.
+    """
+    return np.asarray(stdtrit(freedoms, 0.95) / ndtri(0.95))
 
 
 def robust_cost(squared: Array, scale: float | None) -> tuple[Array, Array]:

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import stdtrit
 
+from onboard.geometry.robust import student_widening
 from onboard.measured.patches import Patch, Values, by_inverse_depth, by_view, shifted
 from onboard.measured.views import Features, View
 
@@ -134,9 +134,7 @@ def _with_errors(
     by_poses = 0.5 * sum(posed) + half_common + float((by_depth**2).sum())
     apart = np.array([float(each @ row.residual) for each, row in zip(L, rows, strict=True)])
     free = max(len(rows) - 1, 1)
-    # So few differences know their variance badly: widened so that 1.645 sigmas hold 90 % of Student's t.
-    student = float(stdtrit(free, 0.95)) / 1.645
-    rest = float((apart**2 / (np.array(own) + posed)).sum()) / free * student**2
+    rest = float((apart**2 / (np.array(own) + posed)).sum()) / free * float(student_widening(free)) ** 2
     # Minus d ln w by what all features have in common: through the poses, and by the camera's errors of themselves.
     seen = -np.sum([ck @ view.common.by_pose for ck, view in zip(c, views, strict=True)], axis=0) / w
     missing = np.concatenate([[1.0, *patch.rays[0, :2]], by_camera / w]) - seen
