@@ -16,7 +16,7 @@ Public:
 - `resection`: `Resection`, `Sighted`, `resect`
 - `rolling_shutter`: `Moving`, `Sweep`, `rates_between`
 - `sensor_factors`: `travelled_sigma_m`
-- `sensor_groups`: `Failing`, `FORGOTTEN`
+- `sensor_groups`: `Failing`
 - `shared_errors`: `SensorPose`
 - `sliding_window`: `Window`
 - `solved_window`: `Solved`

@@ -17,7 +17,7 @@ from scipy.special import chdtri, fdtri
 
 from onboard.estimation.factors import Prior, State, of_sensors
 from onboard.estimation.sensor_table import BY_NAME
-from onboard.navigation.limits import FALSE_ALARM
+from onboard.navigation.limits import FALSE_ALARM, FORGOTTEN
 
 Array = NDArray[np.float64]
 
@@ -26,7 +26,6 @@ Array = NDArray[np.float64]
 LEAST_REDUNDANCY = 0.01
 LEFT_OUT = 9.0  # times the variance that makes a failing group consistent: its values are not to be averaged with
 FADING_S = 20.0  # after its last failure, in which a group's added variance falls to a third
-FORGOTTEN = 1.5  # factor on a variance, below which a failure is over
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,8 @@
 
 Public:
 
-- `click_budget`: `Budget`, `click_budget`
+- `budget`: `Budget`
+- `click_budget`: `click_budget`
 - `feature_sets`: `Origin`, `Picture`, `Placed`, `place`
 - `revision`: `Revisions`
 - `surface_sets`: `over_known_ground`

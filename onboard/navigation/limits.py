@@ -15,3 +15,4 @@ SURE_SIGMAS = 3.0
 FALSE_ALARM = 1e-6  # share of the windows in order that a test over many states calls wrong
 CLEAR = 2.0 * math.log(1000.0)  # of chi-square, between two explanations of the same: a thousand to one
 MOST_OF = 0.5  # share of features or ground that is enough to judge all of them by
+FORGOTTEN = 1.5  # factor on a sensor's variance, below which its contradiction of the others is over

@@ -2,10 +2,10 @@
 
 Public:
 
-- `error_budgets`: `Budget`, `BudgetWatch`, `NewestBudget`, `budget_text`
-- `estimates`: `BORESIGHT`, `RELATIVE_VARIANCE`, `TIME_OFFSET`, `Contradiction`, `Estimate`, `SensorError`,
-  `as_rows`, `larger_than_declared`, `not_adopted`, `in_words`
+- `error_budgets`: `BudgetWatch`, `NewestBudget`, `budget_text`
+- `estimates`: `BORESIGHT`, `RELATIVE_VARIANCE`, `TIME_OFFSET`, `as_rows`, `larger_than_declared`, `not_adopted`,
+  `in_words`
 - `mount_search`: `MountSearch`
 - `pipeline`: `Pipeline`
-- `statistics`: `LeftOut`, `Summary`
+- `summary`: `Budget`, `Contradiction`, `Estimate`, `LeftOut`, `SensorError`, `Summary`
 """

@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.error_sources import ABOUT, Cause
-from onboard.georeferencing.click_budget import Budget, click_budget
+from onboard.georeferencing.budget import Budget
+from onboard.georeferencing.click_budget import click_budget
 from onboard.georeferencing.feature_sets import Placed
 from onboard.navigation.limits import LONG_NS
 
-__all__ = ["Budget", "BudgetWatch", "NewestBudget", "budget_text"]
+__all__ = ["BudgetWatch", "NewestBudget", "budget_text"]
 
 Array = NDArray[np.float64]
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,58 +11,14 @@ from onboard.config.schema import Config
 from onboard.estimation.boresight import PlatformEstimate, Unconfirmed
 from onboard.estimation.platform_states import QUANTITIES, present
 from onboard.estimation.reobservation import RelativeVariance
-from onboard.estimation.sensor_groups import FORGOTTEN, Failing
+from onboard.estimation.sensor_groups import Failing
 from onboard.estimation.sensor_table import PARTS, configured
 from onboard.estimation.sliding_window import Window
 from onboard.estimation.variance_components import VarianceFactors
+from onboard.pipeline.summary import Contradiction, Estimate, SensorError
 
 BORESIGHT, TIME_OFFSET, RELATIVE_VARIANCE = "boresight", "camera_time_offset", "relative_variance_factor"
 SHOWN = 1.1  # times the declared sigma: less is not worth a line
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """One quantity that is estimated in flight: a name, its unit, and as many values as it has components."""
-
-    name: str
-    unit: str  # as Prometheus writes it: radians, seconds, meters, ...
-    values: tuple[float, ...]
-    sigmas: tuple[float, ...]
-
-
-@dataclass(frozen=True)
-class SensorError:
-    """One sigma of one part of the sensors' errors: as estimated in flight, and as configured."""
-
-    name: str  # one of `sensor_table.PARTS`
-    unit: str  # deg, m/s, m, s
-    sigma: float
-    declared: float
-
-    def __str__(self) -> str:
-        return f"{self.name.replace('_', ' ')} {self.sigma:.2g} {self.unit}, declared {self.declared:g}"
-
-
-@dataclass(frozen=True)
-class Contradiction:
-    """A sensor that contradicts all others, or did: how it counts, and since when it does so without a pause."""
-
-    name: str  # position, velocity, tilt or heading
-    sigma_times: float  # what its sigma counts as many times of; 1 once it agrees again
-    duration_s: float  # from the first to the last window of its newest failure
-    windows: int  # in which it failed since the start
-
-    @property
-    def is_now(self) -> bool:
-        """True while it is taken to be wrong."""
-        return self.sigma_times**2 > FORGOTTEN
-
-    def __str__(self) -> str:
-        if self.is_now:
-            for_s = f" for {self.duration_s:.0f} s" if self.duration_s >= 1.0 else ""
-            times = f"{self.sigma_times:.2g} times its sigma"
-            return f"{self.name} contradicts the other sensors{for_s} and counts with {times}"
-        return f"{self.name} contradicted the other sensors in {self.windows} windows"
 
 
 def contradictions_of(failing: Failing, now_ns: int) -> tuple[Contradiction, ...]:

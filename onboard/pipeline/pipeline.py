@@ -41,7 +41,8 @@ from onboard.pipeline.mount_selection import MountSelection, carry_over
 from onboard.pipeline.picture_motion import TURN_RAD_S, ground_so_far, moving_at, predict_motion, what_parts
 from onboard.pipeline.placing import Placing
 from onboard.pipeline.record_book import Pending, Record, RecordBook
-from onboard.pipeline.statistics import MIN_OVERLAP, LeftOut, RunStatistics, Summary
+from onboard.pipeline.statistics import MIN_OVERLAP, RunStatistics
+from onboard.pipeline.summary import LeftOut, Summary
 from onboard.pipeline.terrain_at_hand import TerrainSource, terrain_about
 from onboard.pipeline.window_doubt import FrameDoubt, LensDoubt
 from onboard.pipeline.zoom_following import ZoomFollowing

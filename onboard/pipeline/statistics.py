@@ -6,7 +6,6 @@ import time
 from collections import Counter, defaultdict, deque
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from enum import Enum
 
 import numpy as np
@@ -19,7 +18,7 @@ from onboard.estimation.window_problem import MIN_KEYFRAMES
 from onboard.geometry.plane_homography import move, pixel_grid
 from onboard.navigation.limits import MEMORY_NS, PATIENCE_NS
 from onboard.navigation.navigator import NavState
-from onboard.pipeline.estimates import Contradiction, Estimate, SensorError
+from onboard.pipeline.summary import Shortfall, Summary
 
 Array = NDArray[np.float64]
 
@@ -55,49 +54,6 @@ REMEDIES: dict[Status | Break, str] = {
     Status.ZOOMED: "fix zoom and focus where they were calibrated",
     Status.POOR_FIT: "check mount.*_deg, camera.json, and that pictures and log are of one flight and one clock",
 }
-
-
-@dataclass(frozen=True)
-class Shortfall:
-    """The likely reason why no picture has an answer, and its remedy, one line each."""
-
-    reason: str
-    remedy: str
-
-
-@dataclass(frozen=True)
-class LeftOut:
-    """Shares (0 to 1) of the picture where no features are taken."""
-
-    masked: float = 0.0  # by `camera.mask`
-    standing: float = 0.0  # found in flight: it stands still while the ground moves
-
-    def __str__(self) -> str:
-        """Empty if nothing is left out."""
-        why = "found: stands still while the ground moves (a display, or the aircraft itself)"
-        parts = ((self.masked, "by camera.mask"), (self.standing, why))
-        return ", ".join(f"{100.0 * share:.0f} % {what}" for share, what in parts if share > 0.0)
-
-
-@dataclass
-class Summary:
-    """Outcomes of the pictures. `refused` counts reasons; `stage_seconds` is processor time by stage."""
-
-    frames: int = 0
-    shortfall: Shortfall | None = None  # why nothing was solved, where nothing was
-    keyframes: int = 0
-    solved: int = 0
-    refused: dict[str, int] = field(default_factory=dict)
-    refused_windows: dict[str, int] = field(default_factory=dict)  # by what spoke against them
-    median_tracks: float = 0.0
-    reprojection_px: float = 0.0
-    estimates: tuple[Estimate, ...] = ()  # of the platform; empty before the first update
-    sensor_errors: tuple[SensorError, ...] = ()  # how large they are, as estimated and as configured
-    unconfirmed: tuple[Estimate, ...] = ()  # found, but too far from the prior to be adopted by itself
-    contradictions: tuple[Contradiction, ...] = ()  # sensors that contradict the others, or did
-    mounted_on: str = ""  # what the camera was assumed to be mounted on
-    left_out: LeftOut = field(default_factory=LeftOut)
-    stage_seconds: dict[str, float] = field(default_factory=dict)
 
 
 class RunStatistics:

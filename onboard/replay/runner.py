@@ -38,7 +38,7 @@ from onboard.telemetry.telemetry_log import TelemetryLog
 
 if TYPE_CHECKING:
     from onboard.pipeline.pipeline import Pipeline
-    from onboard.pipeline.statistics import Summary
+    from onboard.pipeline.summary import Summary
 
 EXIF = "exif"  # in place of a log: what the pictures themselves state
 WHOLE_SECOND_SIGMA_S = 0.25  # of a stamp, from which on one cut to the second is no worse: evenly within it is 0.29

@@ -25,7 +25,7 @@ from prometheus_client.exposition import ThreadingWSGIServer
 from contract.errors import ConfigError, LinkError
 from contract.supervised_thread import Policy, SupervisedThread, ThreadState
 from onboard.events.source import SourceStatus, State
-from onboard.pipeline.estimates import Estimate
+from onboard.pipeline.summary import Estimate
 from onboard.service.reports import Report
 from onboard.service.vehicle_state import Subject, VehicleState
 

@@ -20,9 +20,7 @@ from contract.vehicle_status import VehicleStatus
 from onboard.events.source import SourceStatus
 from onboard.events.tunnel import RadioReport
 from onboard.events.types import GpsQuality
-from onboard.pipeline.error_budgets import Budget
-from onboard.pipeline.estimates import Contradiction, Estimate, SensorError
-from onboard.pipeline.statistics import LeftOut, Summary
+from onboard.pipeline.summary import Budget, Contradiction, Estimate, LeftOut, SensorError, Summary
 from onboard.service.vehicle_state import Finding, GpsReport
 
 BLACK, WHITE = 2, 253  # grey levels up to which and from which a pixel holds no information

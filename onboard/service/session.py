@@ -28,7 +28,7 @@ from onboard.events.types import Event, Frame, GpsQuality
 from onboard.pipeline.error_budgets import NewestBudget
 from onboard.pipeline.estimates import in_words
 from onboard.pipeline.pipeline import Pipeline
-from onboard.pipeline.statistics import Summary
+from onboard.pipeline.summary import Summary
 from onboard.service.event_queue import EventQueue
 from onboard.service.live_rates import LiveRates
 from onboard.service.reports import (

@@ -13,7 +13,7 @@ from benchmarks.sensor_faults import ATTITUDE_TIME, HEADING, POSITION, TILT, VEL
 from contract.answer import CHI2_2
 from onboard.config.schema import parse_config
 from onboard.events.types import Event
-from onboard.pipeline.estimates import Contradiction
+from onboard.pipeline.summary import Contradiction
 from simulation.paths import PathSpec
 from tests.sampled_clicks import chi2_of, located
 

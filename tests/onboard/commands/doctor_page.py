@@ -12,17 +12,14 @@ from onboard.config.schema import Config, ThermalConfig
 from onboard.config.second_camera import SecondCamera
 from onboard.events.source import SourceStatus, State
 from onboard.events.tunnel import RadioReport
-from onboard.georeferencing.click_budget import Budget
+from onboard.georeferencing.budget import Budget
 from onboard.pipeline.estimates import (
     BORESIGHT,
     RELATIVE_VARIANCE,
     TIME_OFFSET,
-    Contradiction,
-    Estimate,
-    SensorError,
     in_words,
 )
-from onboard.pipeline.statistics import LeftOut
+from onboard.pipeline.summary import Contradiction, Estimate, LeftOut, SensorError
 from onboard.service.reports import Report
 from tests.onboard.service.reported import WELL as WELL_INPUTS
 from tests.onboard.service.reported import report_of

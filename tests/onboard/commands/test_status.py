@@ -12,7 +12,7 @@ from onboard.__main__ import main
 from onboard.events.source import SourceStatus, State
 from onboard.link.publisher import Publisher
 from onboard.link.status_query import ask, local_endpoints
-from onboard.pipeline.statistics import LeftOut
+from onboard.pipeline.summary import LeftOut
 from onboard.service.reports import PictureCounts, RecordingReport, Report
 from onboard.service.vehicle_state import Finding, Subject, VehicleState
 from tests.contract.sets import plain_set

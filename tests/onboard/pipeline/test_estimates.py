@@ -11,7 +11,6 @@ from onboard.estimation.sensor_groups import Failing
 from onboard.estimation.sensor_table import PARTS
 from onboard.estimation.variance_components import Evidence, VarianceFactors
 from onboard.pipeline.estimates import (
-    Contradiction,
     as_rows,
     contradictions_of,
     estimates_of,
@@ -22,6 +21,7 @@ from onboard.pipeline.estimates import (
     sensor_errors,
     unconfirmed_of,
 )
+from onboard.pipeline.summary import Contradiction
 
 CONFIG = parse_config("")
 PLATFORM = PlatformEstimate(

@@ -5,7 +5,8 @@ import numpy as np
 from contract.feature_set import Status
 from onboard.config.schema import parse_config
 from onboard.navigation.navigator import NavState
-from onboard.pipeline.statistics import REMEMBERED, Break, RunStatistics, Shortfall
+from onboard.pipeline.statistics import REMEMBERED, Break, RunStatistics
+from onboard.pipeline.summary import Shortfall
 
 APART_NS = 500_000_000
 

@@ -14,8 +14,8 @@ from prometheus_client.parser import text_string_to_metric_families
 from contract.errors import ConfigError, LinkError
 from contract.supervised_thread import ThreadReport, ThreadState
 from onboard.events.source import SourceStatus, State
-from onboard.pipeline.estimates import BORESIGHT, RELATIVE_VARIANCE, Estimate, SensorError
-from onboard.pipeline.statistics import LeftOut
+from onboard.pipeline.estimates import BORESIGHT, RELATIVE_VARIANCE
+from onboard.pipeline.summary import Estimate, LeftOut, SensorError
 from onboard.service.prometheus import PrometheusServer, metrics
 from onboard.service.reports import ClockReport, PictureCounts
 from onboard.service.vehicle_state import Inputs

@@ -11,8 +11,8 @@ from hypothesis import given
 from contract.errors import LinkError
 from onboard.events.source import SourceStatus, State
 from onboard.events.types import GpsQuality
-from onboard.pipeline.estimates import BORESIGHT, Estimate, SensorError
-from onboard.pipeline.statistics import LeftOut
+from onboard.pipeline.estimates import BORESIGHT
+from onboard.pipeline.summary import Estimate, LeftOut, SensorError
 from onboard.service.reports import Brightness, PictureCounts, Report, gps_report
 from onboard.service.vehicle_state import Inputs
 from tests.onboard.service.reported import WELL, inputs, report_of, unhurried
