@@ -3,7 +3,7 @@
 Public:
 
 - `kept_pictures`: `KEPT_BYTES`, `LEAST`, `RECENT_NS`, `Grey`, `Kept`, `KeptPictures`, `Pictured`
-- `pointing`: `ACCEPTED`, `NOT_ACKNOWLEDGED`, `NO_AUTOPILOT`, `ON_GROUND`, `UNSUPPORTED`, `CircleAbout`, `LookAhead`,
+- `pointing`: `ACCEPTED`, `NOT_ACKNOWLEDGED`, `NO_AUTOPILOT`, `NO_CIRCLE`, `ON_GROUND`, `CircleAbout`, `LookAhead`,
   `LookAt`, `Order`, `PointingEnd`
 - `session_clock`: `SessionClock`
 - `sink`: `Sink`

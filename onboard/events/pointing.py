@@ -9,7 +9,7 @@ ACCEPTED = "accepted"
 NO_AUTOPILOT = "no_autopilot"  # nothing was sent
 NOT_ACKNOWLEDGED = "not_acknowledged"  # it was sent, and may have been done
 ON_GROUND = "on_ground"  # by the autopilot's own word; nothing was sent
-UNSUPPORTED = "unsupported"  # the autopilot's own word; or nothing was sent, to a vehicle of a kind that cannot do it
+NO_CIRCLE = "no_circle"  # it is none of the kinds that are sent to circle, or has not reported which; nothing was sent
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class PointingEnd(Protocol):
 
     def command(self, order: Order) -> str:
         """Have an order obeyed. Waits seconds for what comes of it, in a word: ACCEPTED, NO_AUTOPILOT,
-        NOT_ACKNOWLEDGED, ON_GROUND, or the autopilot's own reason to refuse, as in MAVLink's MAV_RESULT. One at a
+        NOT_ACKNOWLEDGED, ON_GROUND, NO_CIRCLE, or the autopilot's own reason to refuse, as in MAVLink's MAV_RESULT. One at a
         time; from any thread but the telemetry's.
         """
 

@@ -32,6 +32,7 @@ from onboard.config.link import Look
 from onboard.events.pointing import (
     ACCEPTED,
     NO_AUTOPILOT,
+    NO_CIRCLE,
     NOT_ACKNOWLEDGED,
     ON_GROUND,
     CircleAbout,
@@ -56,6 +57,7 @@ SetOf = Callable[[int], "tuple[bytes, float | None] | None"]
 log = logging.getLogger("pointclick")
 
 UNSENT = {
+    NO_CIRCLE: "a VTOL, a vehicle of another kind, or one that does not report whether it is a VTOL: nothing was sent",
     ON_GROUND: "the autopilot reports that the aircraft is on the ground: nothing was sent",
     NO_AUTOPILOT: "no autopilot is received: nothing was sent",
     NOT_ACKNOWLEDGED: "the autopilot has not acknowledged it: it may have been done or not, look at the picture",

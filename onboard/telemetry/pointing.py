@@ -21,9 +21,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from onboard.events.pointing import (
     ACCEPTED,
     NO_AUTOPILOT,
+    NO_CIRCLE,
     NOT_ACKNOWLEDGED,
     ON_GROUND,
-    UNSUPPORTED,
     LookAhead,
     LookAt,
     Order,
@@ -36,7 +36,7 @@ LIMIT_S = 3.0  # for the whole of it
 IN_PROGRESS = int(mavlink.MAV_RESULT_IN_PROGRESS)
 # Of MAV_RESULT, by its numbers: pymavlink's dialect lacks the later ones.
 RESULTS = {
-    0: ACCEPTED, 1: "temporarily_rejected", 2: "denied", 3: UNSUPPORTED, 4: "failed", 6: "cancelled",
+    0: ACCEPTED, 1: "temporarily_rejected", 2: "denied", 3: "unsupported", 4: "failed", 6: "cancelled",
     7: "command_long_only", 8: "command_int_only", 9: "command_unsupported_mav_frame", 10: "not_in_control",
 }  # fmt: skip
 
@@ -117,7 +117,7 @@ class Pointing:
         """Serve `PointingEnd`."""
         command = _command_for(order, self._kind)
         if command is None:
-            return NO_AUTOPILOT if self._kind is None else UNSUPPORTED
+            return NO_AUTOPILOT if self._kind is None else NO_CIRCLE
         with self._turn:
             given = _Given(order, command, is_for_it=command.number != mavlink.MAV_CMD_DO_REPOSITION)
             with self._lock:
@@ -125,7 +125,7 @@ class Pointing:
             given.is_done.wait(self._limit_s)
             with self._lock:  # from here on it is neither sent nor answered
                 self._given = None
-            unsent = UNSUPPORTED if given.asked else NO_AUTOPILOT  # asked, it has not reported what it is
+            unsent = NO_CIRCLE if given.asked else NO_AUTOPILOT  # asked, it has not reported what it is
             return given.result or (NOT_ACKNOWLEDGED if given.sent else unsent)
 
     def height_amsl_m(self) -> float | None:
@@ -153,7 +153,7 @@ class Pointing:
             if given is None or given.is_for_it:
                 return
             if state.vtol_state != mavlink.MAV_VTOL_STATE_UNDEFINED:
-                given.result = UNSUPPORTED
+                given.result = NO_CIRCLE
             elif state.landed_state == mavlink.MAV_LANDED_STATE_ON_GROUND:
                 given.result = ON_GROUND
             else:

@@ -24,6 +24,7 @@ from onboard.config.link import Look
 from onboard.events.pointing import (
     ACCEPTED,
     NO_AUTOPILOT,
+    NO_CIRCLE,
     NOT_ACKNOWLEDGED,
     ON_GROUND,
     CircleAbout,
@@ -331,6 +332,7 @@ def test_the_camera_is_not_sent_to_and_fro() -> None:
         ("temporarily_rejected", "refuses: temporarily rejected", True),
         (NOT_ACKNOWLEDGED, "has not acknowledged it: it may have been done or not", True),
         (NO_AUTOPILOT, "no autopilot is received: nothing was sent", False),
+        (NO_CIRCLE, "does not report whether it is a VTOL: nothing was sent", True),
         (ON_GROUND, "is on the ground: nothing was sent", True),
     ],
 )

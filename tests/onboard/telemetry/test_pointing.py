@@ -17,9 +17,9 @@ from onboard.config.schema import parse_config
 from onboard.events.pointing import (
     ACCEPTED,
     NO_AUTOPILOT,
+    NO_CIRCLE,
     NOT_ACKNOWLEDGED,
     ON_GROUND,
-    UNSUPPORTED,
     CircleAbout,
     LookAhead,
     LookAt,
@@ -103,23 +103,26 @@ def test_a_plane_and_a_multicopter_circle_about_the_place_at_the_height_and_radi
 
 
 @pytest.mark.parametrize(
-    ("style", "kind", "sent"),
-    [("ardupilot", mavlink.MAV_TYPE_QUADROTOR, 1), ("ardupilot", mavlink.MAV_TYPE_VTOL_TILTROTOR, 0)],
+    ("style", "kind", "sent", "word"),
+    [
+        ("ardupilot", mavlink.MAV_TYPE_QUADROTOR, 1, "unsupported"),
+        ("ardupilot", mavlink.MAV_TYPE_VTOL_TILTROTOR, 0, NO_CIRCLE),
+    ],
 )
-def test_what_cannot_circle_is_refused_and_sent_nowhere_instead(style: str, kind: int, sent: int) -> None:
+def test_what_cannot_circle_is_refused_and_sent_nowhere_instead(style: str, kind: int, sent: int, word: str) -> None:
     with flying(flight=replace(FLIGHT, vehicle_type=kind), style=style) as (autopilot, pointing, _):
         words: list[str] = []
         assert eventually(lambda: words.append(pointing.command(ABOUT_HILL)) or words[-1] != NO_AUTOPILOT)
-        assert words[-1] == UNSUPPORTED
+        assert words[-1] == word
         assert len(commands(autopilot)) == sent and autopilot.circle is None
 
 
 @pytest.mark.parametrize(
     ("backend", "state", "word"),
     [
-        ("pymavlink", (mavlink.MAV_VTOL_STATE_FW, mavlink.MAV_LANDED_STATE_IN_AIR), UNSUPPORTED),
-        ("mavsdk", (mavlink.MAV_VTOL_STATE_MC, mavlink.MAV_LANDED_STATE_IN_AIR), UNSUPPORTED),
-        ("pymavlink", None, UNSUPPORTED),
+        ("pymavlink", (mavlink.MAV_VTOL_STATE_FW, mavlink.MAV_LANDED_STATE_IN_AIR), NO_CIRCLE),
+        ("mavsdk", (mavlink.MAV_VTOL_STATE_MC, mavlink.MAV_LANDED_STATE_IN_AIR), NO_CIRCLE),
+        ("pymavlink", None, NO_CIRCLE),
         ("pymavlink", (mavlink.MAV_VTOL_STATE_UNDEFINED, mavlink.MAV_LANDED_STATE_ON_GROUND), ON_GROUND),
     ],
 )
