@@ -53,8 +53,8 @@ class PointingEnd(Protocol):
     """Our end of an autopilot that may be commanded."""
 
     def command(self, order: Order) -> str:
-        """Have an order obeyed. Waits seconds for what comes of it, in a word: ACCEPTED, NO_AUTOPILOT,
-        NOT_ACKNOWLEDGED, ON_GROUND, NO_CIRCLE, or the autopilot's own reason to refuse, as in MAVLink's MAV_RESULT. One at a
+        """Have an order obeyed. Waits seconds for what comes of it, in a word: ACCEPTED, NO_AUTOPILOT, NO_CIRCLE,
+        ON_GROUND, NOT_ACKNOWLEDGED, or the autopilot's own reason to refuse, as in MAVLink's MAV_RESULT. One at a
         time; from any thread but the telemetry's.
         """
 
