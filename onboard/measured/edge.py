@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from onboard.measured.matching import CORRELATED
 from onboard.measured.patches import OFFSETS, Patch, Values, warped
 from onboard.measured.sweep import LEAST_VIEWS
 from onboard.measured.views import View
@@ -22,7 +23,6 @@ Mask = NDArray[np.bool_]
 
 ABOUT = np.exp(-0.5 * (OFFSETS**2).sum(axis=1) / 1.2**2)  # what counts as the click's own pixels
 LEAST_NOISE = 1.0  # grey levels squared
-CORRELATED = 3.0  # pixels of a picture that are one measurement
 TURNS = 16  # bearings in which an edge may pass
 EDGE_PX = 1.0  # an edge is no sharper than a pixel
 RADIUS_PX = 4.5

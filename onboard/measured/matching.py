@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from onboard.geometry.robust import student_widening
-from onboard.measured.patches import Patch, Values, by_inverse_depth, by_view, shifted
+from onboard.measured.patches import OFFSETS, Patch, Values, by_inverse_depth, by_view, shifted
 from onboard.measured.views import Features, View
 
 Array = NDArray[np.float64]
@@ -24,6 +24,8 @@ ROUNDS = 3
 SMALL_STEP = 0.1  # sigmas of the pictures' noise: another round would change nothing
 LEAST_NOISE = 1e-4  # squared, of a patch of length one: no two pictures agree better
 MOST_STEP = 0.05  # of the inverse depth, relative: what runs farther has found another place
+APART = 3.0  # sigmas of the pictures' noise: windows whose depths are farther apart are of an uneven surface
+CORRELATED = 3.0  # pixels of a picture that are one measurement
 SLOPE_SIGMA = 1.0  # of d ln w / d (x, y) about the ground's or the picture's: a roof of 45 degrees seen from above
 
 
@@ -45,6 +47,7 @@ class Match:
     by_common: float
     by_surface: float = 0.0  # how uneven the surface is next to the click
     by_edge: float = 0.0  # the ground behind the surface, which the click may be of
+    window: Mask = field(default_factory=lambda: np.ones(len(OFFSETS), bool))  # the pixels (225,) that counted
 
     @property
     def sigma_per_m(self) -> float:
@@ -63,45 +66,117 @@ class Row:
     noise: float  # squared, of one pixel of the residual
 
 
+@dataclass(frozen=True, eq=False)
+class _Warped:
+    """One view's patch at a depth and a slope: values (225,), their derivatives by the place in the view (225, 2), and
+    the derivative (2,) of that place by the depth.
+    """
+
+    values: Values
+    by_pixel: Array
+    by_inverse_depth: Array
+
+    @classmethod
+    def at(cls, patch: Patch, view: View, w: float, slope: Array) -> _Warped:
+        return cls(*shifted(patch, view, w, slope), by_inverse_depth(patch, view, w))
+
+
 def matched(
-    patch: Patch, views: Sequence[View], features: Features, start: tuple[float, Array], window: Mask
+    patch: Patch, views: Sequence[View], features: Features, start: tuple[float, Array], windows: Sequence[Mask]
 ) -> Match | None:
     """Refine an inverse depth and a slope and state the depth's error; None if it runs away.
 
-    `window` (225,): the pixels that count.
+    `windows`: the pixels (225,) that may count, from the largest window to the smallest. Those of the largest do whose
+    depth none within it contradicts. (29.19)
     """
+    at = start
+    for number, window in enumerate(windows):
+        found = _converged(patch, views, at, start[1], window)
+        if found is None or not abs(found.w / start[0] - 1.0) < MOST_STEP:
+            return None
+        at = found.w, found.slope
+        within = [_solved(patch, found.there, found.before, each, found.prior) for each in windows[number + 1 :]]
+        if not any(_apart(found.last, each) for each in within):
+            rows, _, covariance = found.last
+            return replace(_with_errors(rows, covariance[0], views, features, (patch, *at)), window=window)
+    return None
+
+
+_Solution = tuple[list[Row], Array, Array]  # of one round: the views' rows, the step (3,), its covariance (3, 3)
+
+
+@dataclass(frozen=True, eq=False)
+class _Converged:
+    """Where the steps in one window have ended: depth and slope; the last of them, the depth before it, the views there
+    and the slope's prior.
+    """
+
+    w: float
+    slope: Array
+    last: _Solution
+    before: float
+    there: list[_Warped]
+    prior: tuple[Array, Array]
+
+
+def _converged(
+    patch: Patch, views: Sequence[View], start: tuple[float, Array], usual: Array, window: Mask
+) -> _Converged | None:
+    """Step until another step would change nothing; None without texture. `usual`: the slope's mean."""
     w, slope = start
-    prior = np.diag([0.0, SLOPE_SIGMA**-2, SLOPE_SIGMA**-2])
-    rows: list[Row] = []
-    covariance = prior
+    out: _Converged | None = None
+    information = np.diag([0.0, SLOPE_SIGMA**-2, SLOPE_SIGMA**-2])
     for _ in range(ROUNDS):
-        rows = [linearised(patch, view, w, slope, window) for view in views]
-        N = prior + sum(row.J.T @ row.J / row.noise for row in rows)
-        toward = np.sum([row.J.T @ row.residual / row.noise for row in rows], axis=0) - prior @ [
-            0.0,
-            *(slope - start[1]),
-        ]
-        if not N[0, 0] > 0.0:
+        there = [_Warped.at(patch, view, w, slope) for view in views]
+        prior = information, np.asarray(information @ [0.0, *(slope - usual)], float)
+        last = _solved(patch, there, w, window, prior)
+        _, step, covariance = last
+        if not covariance[0, 0] > 0.0 or not abs(step[0]) < MOST_STEP * abs(w):
             return None
-        covariance = np.linalg.inv(N)
-        step = covariance @ toward
-        w, slope = w + float(step[0]), slope + step[1:]
-        if not abs(w / start[0] - 1.0) < MOST_STEP:
-            return None
+        out = _Converged(w + float(step[0]), slope + step[1:], last, w, there, prior)
+        w, slope = out.w, out.slope
         if step[0] ** 2 < SMALL_STEP**2 * covariance[0, 0]:
             break
-    return _with_errors(rows, covariance[0], views, features, (patch, w, slope))
+    return out
+
+
+def _solved(patch: Patch, there: Sequence[_Warped], w: float, window: Mask, prior: tuple[Array, Array]) -> _Solution:
+    """One step in a window. `prior`: the slope's information, and its pull."""
+    rows = [_row(patch, each, w, window) for each in there]
+    N = prior[0] + sum(row.J.T @ row.J / row.noise for row in rows)
+    toward = np.sum([row.J.T @ row.residual / row.noise for row in rows], axis=0) - prior[1]
+    if not N[0, 0] > 0.0:
+        return rows, np.zeros(3), np.zeros((3, 3))
+    covariance = np.asarray(np.linalg.inv(N), float)
+    return rows, np.asarray(covariance @ toward, float), covariance
+
+
+def _apart(large: _Solution, small: _Solution) -> bool:
+    """Return whether a window's depth differs from that of one within it by more than the pictures' noise. (29.19)"""
+    if not small[2][0, 0] > 0.0:  # no texture
+        return False
+    of_large, of_small = (
+        _by_pictures(rows, [row.J @ covariance[0] / row.noise for row in rows])
+        for rows, _, covariance in (large, small)
+    )
+    # A smaller window that knows the depth as well as the larger one is preferred.
+    noise = CORRELATED * max(of_small - of_large, 0.0)
+    return float(small[1][0] - large[1][0]) ** 2 > APART**2 * noise
 
 
 def linearised(patch: Patch, view: View, w: float, slope: Array, window: Mask) -> Row:
     """Return the residual between the clicked patch and a view's, and its derivatives. (29.7)"""
-    values, by_pixel = shifted(patch, view, w, slope)
+    return _row(patch, _Warped.at(patch, view, w, slope), w, window)
+
+
+def _row(patch: Patch, there: _Warped, w: float, window: Mask) -> Row:
+    values, by_pixel = there.values, there.by_pixel
     clicked, _ = normalised(patch.values[window])
     seen, length = normalised(values[window])
     g = by_pixel[window]
     g = (g - g.mean(axis=0)) / length
     g -= np.outer(seen, seen @ g)
-    along = g @ by_inverse_depth(patch, view, w)
+    along = g @ there.by_inverse_depth
     J = np.column_stack([along, w * along[:, None] * patch.by_offset[window]])
     residual = clicked - seen
     noise = max(float(residual @ residual) / max(len(residual) - 6, 1), LEAST_NOISE / len(residual))
@@ -122,10 +197,7 @@ def _with_errors(
     patch, w, slope = found
     L = [row.J @ by_score / row.noise for row in rows]  # d w / d residual, (n,) of each view
     own = [float(each @ each) * row.noise for each, row in zip(L, rows, strict=True)]
-    # Half of the residual's noise is the clicked patch's, the same in all views.
-    common = np.sum(L, axis=0)
-    noise = float(np.mean([row.noise for row in rows]))
-    by_pictures = 0.5 * sum(own) + 0.5 * noise * float(common @ common)
+    by_pictures = _by_pictures(rows, L)
     c, by_camera = _by_views(patch, w, views, [each @ row.by_pixel for each, row in zip(L, rows, strict=True)])
     by_noise = [np.einsum("k,kni->ni", ck, v.by_feature) * v.pixel_sigma_px for ck, v in zip(c, views, strict=True)]
     by_depth = np.sum([ck @ view.by_depth for ck, view in zip(c, views, strict=True)], axis=0)
@@ -140,6 +212,15 @@ def _with_errors(
     missing = np.concatenate([[1.0, *patch.rays[0, :2]], by_camera / w]) - seen
     toward_set, unknown = _toward_set(missing, views, features.common_cov)
     return Match(w, slope, by_pictures, by_poses, rest, toward_set, unknown * w * w)
+
+
+def _by_pictures(rows: Sequence[Row], L: Sequence[Array]) -> float:
+    """The depth's variance by the pictures' noise. `L`: d w / d residual, (n,) of each view. (29.8)"""
+    own = sum(float(each @ each) * row.noise for each, row in zip(L, rows, strict=True))
+    # Half of the residual's noise is the clicked patch's, the same in all views.
+    common = np.sum(L, axis=0)
+    noise = float(np.mean([row.noise for row in rows]))
+    return 0.5 * own + 0.5 * noise * float(common @ common)
 
 
 def _by_views(patch: Patch, w: float, views: Sequence[View], by_pixel: Sequence[Array]) -> tuple[list[Array], Array]:

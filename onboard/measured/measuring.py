@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.feature_set import Measured
-from onboard.measured.edge import ABOUT, CORRELATED, LEAST_NOISE, Ground, behind
-from onboard.measured.matching import Match, matched
+from onboard.measured.edge import ABOUT, LEAST_NOISE, Ground, behind
+from onboard.measured.matching import CORRELATED, Match, matched
 from onboard.measured.patches import HALF_PX, OFFSETS, SIDE_PX, Patch, Values, warped
 from onboard.measured.sweep import CORE, LEAST_VIEWS, SMALL, WHOLE, WINDOWS, agreement, steps_between, swept
 from onboard.measured.views import Features, View
@@ -28,6 +28,7 @@ TWIN = 0.05  # of correlation: a maximum that is less than this below the best m
 FLAT_GREY = 4.0  # standard deviation of a patch without texture
 NEXT = slice(HALF_PX - 1, HALF_PX + 2)  # rows and columns of the click and of the pixels next to it
 LEAST_GROUND_SIGMA = 1e-6  # of the logarithm of its inverse depth
+NESTED = (WHOLE, 0, CORE)  # windows about the click, from the largest to the smallest
 CLEAR = 5.0  # natural logarithm of how much likelier one surface must be than another
 
 
@@ -70,19 +71,35 @@ def measure(patch: Patch, views: Sequence[View], features: Features, sought: Sou
     seeing = [view for view, sees in zip(views, found.sees[window], strict=True) if sees]
     if len(seeing) < LEAST_VIEWS:
         return Measured.HIDDEN
-    w, mask = float(found.w[window]), WINDOWS[:, window] > 0.0
-    match = matched(patch, seeing, features, (w, found.slope), mask)
+    masks = [WINDOWS[:, each] > 0.0 for each in _within(found, window)]
+    match = matched(patch, seeing, features, (float(found.w[window]), found.slope), masks)
     if match is None:
         return Measured.NO_TEXTURE
-    # Windows about the click that see the same surface show how uneven it is next to the click. (29.11)
-    near = np.abs(found.w[:SMALL] - w) < UNEVEN_STEPS * found.step
-    uneven = float(np.mean((found.w[:SMALL][near] - match.inverse_depth_per_m) ** 2)) if near.any() else 0.0
-    count = WINDOWS.sum(axis=0)
-    alone = match.by_pictures * float(count[window] / count[0]) + (PARABOLA_STEPS * found.step) ** 2
     surface = match.inverse_depth_per_m, match.slope
-    by_edge = behind(patch, seeing, surface, mask, _ground(sought, found.step))
+    by_edge = behind(patch, seeing, surface, match.window, _ground(sought, found.step))
     w = match.inverse_depth_per_m * (1.0 + match.toward_set)
-    return replace(match, inverse_depth_per_m=w, by_surface=max(uneven - alone, 0.0), by_edge=by_edge)
+    return replace(match, inverse_depth_per_m=w, by_surface=_uneven(match, found), by_edge=by_edge)
+
+
+def _within(found: _Swept, window: int) -> list[int]:
+    """A window and those about the click that lie within it and are matched on its surface, the largest first."""
+    nested = NESTED[NESTED.index(window) :] if window in NESTED else (window,)
+    same = np.abs(found.w - found.w[window]) <= SAME_STEPS * found.step
+    return [each for each in nested if each == window or (same[each] and found.agreement[each] >= SEES)]
+
+
+def _uneven(match: Match, found: _Swept) -> float:
+    """The variance of a matched depth by how uneven the surface is next to the click: windows that are smaller than a
+    patch show it. (29.11)
+    """
+    small = np.array([*range(SMALL), CORE])
+    off = found.w[small] - match.inverse_depth_per_m
+    near = np.abs(off) < UNEVEN_STEPS * found.step
+    if not near.any():
+        return 0.0
+    count = WINDOWS.sum(axis=0)[small]
+    alone = match.by_pictures * match.window.sum() / count + (PARABOLA_STEPS * found.step) ** 2
+    return max(float(np.mean((off**2 - alone)[near])), 0.0)
 
 
 def _ground(sought: Sought, step: float) -> Ground:

@@ -29,12 +29,13 @@ GRID = np.stack(np.meshgrid(np.arange(320.0), np.arange(240.0)), axis=-1)
 
 @dataclass(frozen=True)
 class World:
-    """`roof_m` is the roof's height (0: none), `contrast` of its texture and the ground's, `stripe_m` how far the
-    ground repeats itself (0: it does not), `plain_m` how far about the bright roof it has no texture. Poses in the sets
-    are off by `pose_sigma`: metres and radians.
+    """`roof_m` is the roof's height (0: none), `roof_at_m` where it is (as `ROOF_M`), `contrast` of its texture and the
+    ground's, `stripe_m` how far the ground repeats itself (0: it does not), `plain_m` how far about the bright roof it
+    has no texture. Poses in the sets are off by `pose_sigma`: metres and radians.
     """
 
     roof_m: float = 0.0
+    roof_at_m: tuple[float, float, float, float] = ROOF_M
     contrast: float = 1.0
     stripe_m: float = 0.0
     plain_m: float = 0.0
@@ -58,7 +59,7 @@ class World:
         depth = -centre[2] / rays[..., 2]
         roof = (self.roof_m - centre[2]) / rays[..., 2]
         at = centre + rays * roof[..., None]
-        west, south, east, north = ROOF_M
+        west, south, east, north = self.roof_at_m
         on = (at[..., 0] > west) & (at[..., 0] < east) & (at[..., 1] > south) & (at[..., 1] < north)
         on &= self.roof_m > 0.0
         depth = np.where(on, roof, depth)
@@ -76,7 +77,7 @@ class World:
             cv2.remap(texture, columns, rows, cv2.INTER_LINEAR) for texture in textures(self.seed, self.stripe_m)
         )
         if self.plain_m:
-            west, south, east, north = ROOF_M
+            west, south, east, north = self.roof_at_m
             away_m = np.hypot(
                 *(np.maximum(np.maximum(low - c, c - high), 0.0)
                   for c, low, high in ((at[..., 0], west, east), (at[..., 1], south, north)))
