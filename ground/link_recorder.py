@@ -68,10 +68,11 @@ class LinkRecorder:
                 self._failure = InputError(f"--to {self._folder}: {error.strerror}")
 
     def _take(self, key: str, payload: bytes) -> None:
+        came_ns = time.time_ns()
         before, _, name = key.rpartition("/")
         vehicle, kind = FEATURES.vehicle(f"{before}/features"), payload_of(key)
         if kind is None:
-            session, at_ns, encoding = self._current.get(vehicle, 0), time.time_ns(), name
+            session, at_ns, encoding = self._current.get(vehicle, 0), came_ns, name
         else:
             (session, at_ns), encoding = kind.stamp_of(key, payload), kind.topic.encoding
         if kind is SETS:
@@ -85,7 +86,7 @@ class LinkRecorder:
                 self._left_out += 1
                 return
             file = self._files[vehicle, session] = _File(self._new_path(vehicle, session), vehicle)
-        file.write(key, encoding, at_ns, payload)
+        file.write(key, encoding, came_ns, at_ns, payload)
         self._messages += 1
 
     def _new_path(self, vehicle: str, session: int) -> Path:
@@ -131,11 +132,11 @@ class _File:
         self._channels: dict[str, int] = {}
         self._count = 0
 
-    def write(self, key: str, encoding: str, at_ns: int, payload: bytes) -> None:
+    def write(self, key: str, encoding: str, came_ns: int, at_ns: int, payload: bytes) -> None:
         if key not in self._channels:
             self._channels[key] = self._writer.register_channel(topic=key, message_encoding=encoding, schema_id=0)
         self._count += 1
-        self._writer.add_message(self._channels[key], at_ns, payload, at_ns, self._count)
+        self._writer.add_message(self._channels[key], came_ns, payload, at_ns, self._count)
         self._stream.flush()
 
     def sync(self) -> None:

@@ -14,6 +14,7 @@ import struct
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import accumulate
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -27,7 +28,9 @@ from contract.wire.message import SETS, Payload, payload_of, peek_set
 from ground.dropped_messages import DroppedMessages
 
 T = TypeVar("T")
-_Found = tuple[str, str, int, int]  # topic, encoding, start and length of a message
+
+NEIGHBOURS = 2  # messages before and after one, that tell when it was recorded
+_Found = tuple[str, str, int, int, int]  # topic, encoding, start, length and log time (ns) of a message
 _FRAMES_BEFORE, _FRAMES_AFTER = names.FRAMES.split("{vehicle}")
 
 
@@ -54,8 +57,8 @@ class _Index:
     frames: dict[str, list[tuple[int, int, int]]] = field(
         default_factory=dict
     )  # by vehicle: file, start, length of frame events
-    # Keys and places of the reports, by topic and vehicle.
-    reports: dict[tuple[str, str], list[tuple[str, int, int, int]]] = field(default_factory=dict)
+    # Keys, places and log times of the reports, by topic and vehicle.
+    reports: dict[tuple[str, str], list[tuple[str, int, int, int, int]]] = field(default_factory=dict)
 
 
 class Recording:
@@ -80,8 +83,8 @@ class Recording:
                 self._data[file], found, trouble = _chunked_messages(part)
                 if trouble:
                     self.damage.append(f"recording {part}: {trouble}; what comes after is missing")
-            for topic, encoding, start, length in found:
-                self._note(topic, encoding, file, start, length)
+            for topic, encoding, *where in found:
+                self._note(topic, encoding, file, *where)
         self.damage += [f"recording {self.path}: {line}" for line in self._foreign.lines()]
         if not self._index.sets:
             raise InputError("; ".join([f"recording {self.path}: holds no feature sets", *self._foreign.lines()]))
@@ -131,9 +134,21 @@ class Recording:
 
     def reports(self, kind: Payload[T], vehicles: Iterable[str]) -> list[T]:
         """The reports of a kind from flight, each vehicle's in recorded order; what cannot be read is left out."""
-        places = [place for name in vehicles for place in self._index.reports.get((kind.topic.name, name), [])]
-        messages = ((key, bytes(self._data[file][start : start + length])) for key, file, start, length in places)
-        return [report for key, message in messages for report in kind.found(key, message)]
+        return [report for name in vehicles for _, report in self._reports(kind, name)]
+
+    def received(self, kind: Payload[T], vehicles: Iterable[str]) -> list[tuple[int, T]]:
+        """The same with the time (Unix ns) at which each was recorded, in its order.
+
+        An aircraft notes a stamp as the time of recording: a false one is not that of the messages next to it, so the
+        median of theirs is taken.
+        """
+        out = [came for name in vehicles for came in _by_neighbours(self._reports(kind, name))]
+        return sorted(out, key=lambda came: came[0])
+
+    def _reports(self, kind: Payload[T], vehicle: str) -> list[tuple[int, T]]:
+        places = self._index.reports.get((kind.topic.name, vehicle), [])
+        messages = ((key, bytes(self._data[file][a : a + length]), at) for key, file, a, length, at in places)
+        return [(at_ns, report) for key, message, at_ns in messages for report in kind.found(key, message)]
 
     def frame_of_file(self, vehicle: str, name: str) -> int | None:
         """The frame a picture file of this name was. Raises InputError if the recording holds no names."""
@@ -170,7 +185,7 @@ class Recording:
         except WireError as error:
             raise InputError(f"recording {self.path}: the set of frame {held.frame}: {error}") from error
 
-    def _note(self, topic: str, encoding: str, file: int, start: int, length: int) -> None:
+    def _note(self, topic: str, encoding: str, file: int, start: int, length: int, log_ns: int) -> None:
         kind = _recorded(topic, encoding)
         if kind is SETS:
             try:
@@ -189,7 +204,7 @@ class Recording:
         elif kind is not None:
             with contextlib.suppress(ValueError):
                 of = kind.topic.name, kind.topic.vehicle(topic)
-                self._index.reports.setdefault(of, []).append((topic, file, start, length))
+                self._index.reports.setdefault(of, []).append((topic, file, start, length, log_ns))
         elif vehicle_name := _frames_vehicle(topic):
             self._index.frames.setdefault(vehicle_name, []).append((file, start, length))
 
@@ -222,7 +237,8 @@ def _messages(data: Data, damaged: Callable[[Damage], None]) -> Iterator[_Found]
         if opcode == MESSAGE:
             known = channels.get(data[start] | data[start + 1] << 8)
             if known:
-                yield *known, start + MESSAGE_HEAD.size, length - MESSAGE_HEAD.size
+                log_ns = MESSAGE_HEAD.unpack_from(data, start)[2]
+                yield *known, start + MESSAGE_HEAD.size, length - MESSAGE_HEAD.size, log_ns
         elif opcode == CHANNEL:
             channel, topic, encoding = read_channel(bytes(data[start : start + length]))
             if _recorded(topic, encoding) is not None or _frames_vehicle(topic):
@@ -243,13 +259,21 @@ def _chunked_messages(path: Path) -> tuple[bytes, list[_Found], str]:
             # A damaged length must not become memory asked for.
             reader = NonSeekingReader(stream, record_size_limit=path.stat().st_size)
             for _, channel, message in reader.iter_messages(log_time_order=False):
-                found.append((channel.topic, channel.message_encoding, len(kept), len(message.data)))
+                found.append((channel.topic, channel.message_encoding, len(kept), len(message.data), message.log_time))
                 kept += message.data
         except (McapError, struct.error, ValueError, EOFError) as error:
             if not found:
                 raise InputError(f"recording {path}: {error}") from error
             trouble = f"cannot be read to its end ({error or type(error).__name__})"
     return bytes(kept), found, trouble
+
+
+def _by_neighbours(messages: list[tuple[int, T]]) -> list[tuple[int, T]]:
+    """Messages in recorded order, each at the median of the log times about it, and none before the one before."""
+    times = [at_ns for at_ns, _ in messages]
+    near = (sorted(times[max(k - NEIGHBOURS, 0) : k + NEIGHBOURS + 1]) for k in range(len(times)))
+    medians = accumulate((about[len(about) // 2] for about in near), max)
+    return [(at_ns, message) for at_ns, (_, message) in zip(medians, messages, strict=True)]
 
 
 def _recorded(topic: str, encoding: str) -> Payload[Any] | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
 from typing import Any, Generic, TypeVar
@@ -21,13 +22,18 @@ class ReportView(ABC, Generic[T]):
     def add(self, reports: Iterable[T]) -> None:
         """Take reports, of messages in the order in which they came."""
 
-    def take(self, key: str, payload: bytes) -> None:
-        """Take a message of the link; one that is none of the kind is passed over."""
-        self.add(self.payload.found(key, payload))
+    def received(self, reports: Iterable[tuple[int, T]]) -> None:
+        """Take reports with the times (Unix ns, the ground's clock) at which they came, in that order."""
+        self.add(report for _, report in reports)
+
+    def take(self, key: str, payload: bytes, received_unix_ns: int | None = None) -> None:
+        """Take a message of the link that came now, or then; one that is none of the kind is passed over."""
+        came_ns = time.time_ns() if received_unix_ns is None else received_unix_ns
+        self.received([(came_ns, report) for report in self.payload.found(key, payload)])
 
     def read(self, recording: Recording, vehicles: Iterable[str]) -> None:
         """Take what a recording holds of these vehicles."""
-        self.add(recording.reports(self.payload, vehicles))
+        self.received(recording.received(self.payload, vehicles))
 
 
 def subscriptions(vehicle: str, *views: ReportView[Any]) -> dict[str, Callable[[str, bytes], object]]:

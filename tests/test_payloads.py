@@ -1,6 +1,7 @@
 """Each kind of message in the table of topics is handled wherever messages are: link, disk, journal, cache and page."""
 
 import re
+import time
 from dataclasses import fields
 from pathlib import Path
 
@@ -89,13 +90,18 @@ def test_each_kind_is_kept_on_the_ground_and_read_again(tmp_path: Path, topic: T
     (path,) = [file for file in (tmp_path / "kept").iterdir() if f"-{session}." in file.name]
     with path.open("rb") as stream:
         found = [
-            (channel.message_encoding, message.log_time, message.data)
+            (
+                channel.message_encoding,
+                message.publish_time,
+                message.data,
+                abs(message.log_time - time.time_ns()) < 60e9,
+            )
             for _, channel, message in make_reader(stream).iter_messages(topics=[topic.key(VEHICLE)])
         ]
-    assert found[-1] == (topic.encoding, unix_ns, MESSAGES[topic])
+    assert found[-1] == (topic.encoding, unix_ns, MESSAGES[topic], True)  # stamped so, and it came now
     journal = Journal(tmp_path / "kept")
     journal.begun_unix_s += 60.0
-    taken = [message for _, _, messages in journal.recent(600.0) for message in messages]
+    taken = [message[:3] for _, _, messages in journal.recent(600.0) for message in messages]
     journal.close()
     assert ((topic.key(VEHICLE), topic.encoding, MESSAGES[topic]) in taken) is (topic is not STATUS)
 

@@ -12,9 +12,8 @@ import sys
 import time
 
 from contract.geodesy import metres_per_degree
-from contract.spot import SpotReport, person_text
-from contract.topics import ANY_VEHICLE, SPOTS, STATUS
-from contract.wire.message import SPOT_REPORTS
+from contract.spot import person_text
+from contract.topics import ANY_VEHICLE, STATUS
 from ground.commands import ANSWERED, REFUSED
 from ground.commands.listening import Received, add_listening_arguments, check_listening, write_out
 from ground.commands.sources import opened, vehicles_of
@@ -25,7 +24,7 @@ from ground.formats.documents import FORMATS, one_line
 from ground.formats.mark import Mark
 from ground.link_options import UsageError, endpoint_of, tls_of
 from ground.report_view import subscriptions
-from ground.spots.fire import HOT_C, Fire, FireGround
+from ground.spots.fire import HOT_C, Fire
 from ground.spots.found_thing import FoundThing
 from ground.spots.received import ReceivedSpots
 
@@ -66,6 +65,8 @@ def run(args: argparse.Namespace) -> int:
     found = [thing for thing in received.things() if args.all or thing.is_sure]
     if received.unplaced:
         print(f"spots without a place, where a click has no answer either: {received.unplaced}", file=sys.stderr)
+    if received.false_stamps:
+        print(f"pictures stamped unlike those of their session, left out: {received.false_stamps}", file=sys.stderr)
     if received.mean_person_found is not None:
         print(f"in the mean of {received.pictures} pictures {person_text(received.mean_person_found)}", file=sys.stderr)
     if not found:
@@ -79,14 +80,12 @@ def run(args: argparse.Namespace) -> int:
 
 def _fire(args: argparse.Namespace) -> int:
     """The area that burned: of a recording's last minutes, or again and again while it burns."""
-    ground = FireGround(HOT_C if args.above is None else args.above)
-    fire: Fire | None = None
+    received = ReceivedSpots(HOT_C if args.above is None else args.above)
     if args.recording is not None:
-        for report in _in_recording(args):
-            ground.add(report)
-        fire = _report_fire(ground, args)
+        _read(received, args)
+        fire = _report_fire(received, args)
     else:
-        fire = _live_fire(ground, args)
+        fire = _live_fire(received, args)
     if fire is None:
         print("no picture shows a fire with its outline", file=sys.stderr)
         return REFUSED
@@ -95,50 +94,42 @@ def _fire(args: argparse.Namespace) -> int:
     return ANSWERED
 
 
-def _report_fire(ground: FireGround, args: argparse.Namespace) -> Fire | None:
-    fire = ground.fire(MINUTES if args.minutes is None else args.minutes)
+def _report_fire(received: ReceivedSpots, args: argparse.Namespace) -> Fire | None:
+    fire = received.fire(MINUTES if args.minutes is None else args.minutes)
     if fire is not None:
         print(json.dumps(fire_area.features(fire)) if args.json else fire.to_text(), flush=True)
     return fire
 
 
-def _live_fire(ground: FireGround, args: argparse.Namespace) -> Fire | None:
+def _live_fire(received: ReceivedSpots, args: argparse.Namespace) -> Fire | None:
     """Print the fire every FIRE_S by what came over the link, until a signal or the time ends it; the last one."""
     from ground.client import SetCache  # noqa: PLC0415  zenoh is loaded only where there is a link
 
-    tls, vehicle, came = tls_of(args), args.vehicle or ANY_VEHICLE, list[SpotReport]()
+    tls, vehicle = tls_of(args), args.vehicle or ANY_VEHICLE
     endpoint = endpoint_of(args, tls)
     there = Received(endpoint, args.vehicle)
-
-    def take(key: str, payload: bytes) -> None:
-        came.extend(SPOT_REPORTS.found(key, payload))
-
     fire: Fire | None = None
     began_s = time.monotonic()
-    taken_by = {SPOTS.key(vehicle): take, STATUS.key(vehicle): there.take}
+    taken_by = {STATUS.key(vehicle): there.take, **subscriptions(vehicle, received)}
     with SetCache(endpoint, vehicle, tls=tls, max_sets=1, subscriptions=taken_by) as cache, until_ended():
         while args.seconds is None or time.monotonic() < began_s + args.seconds:
             time.sleep(FIRE_S if args.seconds is None else min(FIRE_S, args.seconds))
             there.report(cache.vehicles)
-            taken, came[:] = list(came), []
-            for report in taken:
-                ground.add(report)
-            fire = _report_fire(ground, args)
+            fire = _report_fire(received, args)
     there.check(cache.vehicles)
     return fire
 
 
-def _in_recording(args: argparse.Namespace) -> list[SpotReport]:
-    """The reports of one vehicle in a recording, or of all, in the order of capture."""
+def _read(received: ReceivedSpots, args: argparse.Namespace) -> None:
+    """Take the reports of one vehicle in a recording, or of all."""
     recording = opened(args.recording)
-    vehicles = vehicles_of(args.vehicle, recording.vehicles)
-    return sorted(recording.reports(SPOT_REPORTS, vehicles), key=lambda report: report.capture_unix_ns)
+    received.read(recording, vehicles_of(args.vehicle, recording.vehicles))
 
 
 def _recorded(args: argparse.Namespace) -> ReceivedSpots:
     """Print the spots found in a recorded flight, as they were known at the end."""
     received = ReceivedSpots()
-    received.add(_in_recording(args))
+    _read(received, args)
     for thing in received.things():
         if args.all or thing.is_sure:
             _print_thing(thing, args)

@@ -291,9 +291,7 @@ def _last_followed(recording: Recording, vehicle: str) -> list[TrackReport]:
 
 def _recent(spots: ReceivedSpots) -> list[FoundThing]:
     """The things that hot spots are of that more than one picture shows, seen recently."""
-    found = [thing for thing in spots.things() if thing.is_sure]
-    since_ns = max((thing.last_unix_ns for thing in found), default=0) - round(SPOTS_SPAN_S * 1e9)
-    return [thing for thing in found if thing.last_unix_ns >= since_ns]
+    return [thing for thing in spots.recent(SPOTS_SPAN_S) if thing.is_sure]
 
 
 def _show(

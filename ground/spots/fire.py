@@ -1,7 +1,8 @@
 """A fire: where it burned in the last minutes, how sure that is, how large it is, how fast it spreads.
 
 Outlines of hot regions, each widened and narrowed by its own ellipse, on a grid of cells for each place where it burns:
-(26.10), (26.11). How fast it spreads stands in `fire_spread`. No clock and no I/O.
+(26.10), (26.11). How fast it spreads stands in `fire_spread`. Times are the ground's (`ReportClocks`), so that of
+several vehicles none is older by its clock. No clock and no I/O.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from contract.answer import CONFIDENCE, Ellipse, time_utc
 from contract.geodesy import LocalFrame, geodetic_to_ecef, level_ground_m, within_180
 from contract.spot import Spot, SpotReport
+from ground.report_clocks import ReportClocks
 from ground.seen.outline import cells_inside, patches
 from ground.spots.fire_spread import Front, spread
 
@@ -37,7 +39,8 @@ ONE_PLACE = 3.0  # reaches of two outlines, within which they are of one place: 
 class _Region:
     """One outline: its corners (K, 2) east and north of a place, m, and how uncertain that is."""
 
-    at_ns: int
+    at_ns: int  # as its vehicle stamped it, or by the ground's clock
+    came_ns: int
     frame: tuple[str, int, int]
     place_deg: tuple[float, float]
     ring_m: Array
@@ -100,19 +103,20 @@ class Fire:
 class FireGround:
     """Takes reports as they come and keeps their hot regions."""
 
-    def __init__(self, hot_c: float = HOT_C) -> None:
-        self._hot_c = hot_c
+    def __init__(self, hot_c: float = HOT_C, clocks: ReportClocks | None = None) -> None:
+        self._hot_c, self._clocks = hot_c, clocks or ReportClocks()
         self._regions: deque[_Region] = deque(maxlen=MOST_OUTLINES)
 
-    def add(self, report: SpotReport) -> None:
-        """Keep those of its spots that burn and have an outline."""
+    def add(self, report: SpotReport, came_unix_ns: int | None = None) -> None:
+        """Keep those of its spots that burn and have an outline. It came then; without that, when it was captured."""
+        came_ns = report.capture_unix_ns if came_unix_ns is None else came_unix_ns
         for spot in report.spots:
             place = spot.place
             if place is None or len(spot.outline_en_m) < 3 or not self._burns(spot):
                 continue
             self._regions.append(
                 _Region(
-                    report.capture_unix_ns, (report.vehicle, report.session, report.frame),
+                    report.capture_unix_ns, came_ns, (report.vehicle, report.session, report.frame),
                     (place.lat_deg, place.lon_deg), np.asarray(spot.outline_en_m, float), place.ellipse, spot.is_cut,
                     spot.temperature_c is not None, report.picture_share, report.session_share,
                 )
@@ -120,10 +124,11 @@ class FireGround:
 
     def fire(self, minutes: float, until_unix_ns: int | None = None) -> Fire | None:
         """The fire of the last minutes before a time (default: the newest region's); None if nothing burned."""
-        newest = max((region.at_ns for region in self._regions), default=0)
-        until = newest if until_unix_ns is None else until_unix_ns
+        times = [self._clocks.at_unix_ns(*r.frame[:2], r.at_ns, r.came_ns) for r in self._regions]
+        until = max(times, default=0) if until_unix_ns is None else until_unix_ns
         since = until - round(minutes * 60e9)
-        held = _thinned([region for region in self._regions if since <= region.at_ns <= until])
+        by_time = zip(self._regions, times, strict=True)
+        held = _thinned([replace(region, at_ns=at_ns) for region, at_ns in by_time if since <= at_ns <= until])
         if not held:
             return None
         places = [_FirePlace.of(regions) for regions in _by_place(held)]
@@ -137,7 +142,7 @@ class FireGround:
 
     def copy(self) -> FireGround:
         """The same regions, for a look at them while more come."""
-        out = FireGround(self._hot_c)
+        out = FireGround(self._hot_c, self._clocks.copy())
         out._regions = self._regions.copy()
         return out
 

@@ -9,8 +9,9 @@ from dataclasses import replace
 
 from contract.spot import SpotReport
 from contract.wire.message import SPOT_REPORTS
+from ground.report_clocks import ReportClocks
 from ground.report_view import ReportView
-from ground.spots.fire import Fire, FireGround
+from ground.spots.fire import HOT_C, Fire, FireGround
 from ground.spots.found_thing import FoundThing
 from ground.spots.merging import SpotMerger
 
@@ -22,9 +23,10 @@ class ReceivedSpots(ReportView[SpotReport]):
 
     payload = SPOT_REPORTS
 
-    def __init__(self) -> None:
+    def __init__(self, hot_c: float = HOT_C) -> None:
         self._merger = SpotMerger()
-        self._fire = FireGround()
+        self._clocks = ReportClocks()
+        self._fire = FireGround(hot_c, self._clocks)
         self._changed: dict[int, int] = {}  # by thing, the version at which it changed last
         self._person_found: dict[str, float | None] = {}  # by vehicle, of its newest picture
         self._searched: deque[SpotReport] = deque(maxlen=MOST_SEARCHED)  # without their spots
@@ -34,16 +36,28 @@ class ReceivedSpots(ReportView[SpotReport]):
 
     def add(self, reports: Iterable[SpotReport]) -> None:
         """Reports of pictures, in any order among themselves; those of one session after all of earlier pictures."""
+        in_order = sorted(reports, key=lambda report: report.capture_unix_ns)
+        self.received((report.capture_unix_ns, report) for report in in_order)
+
+    def received(self, reports: Iterable[tuple[int, SpotReport]]) -> None:
+        """Reports of pictures in the order in which they came, with the times of that.
+
+        One whose stamp is false is of no thing: it would make all that come after it too old.
+        """
         with self._lock:
-            for report in sorted(reports, key=lambda report: report.capture_unix_ns):
+            for came_ns, report in reports:
                 self._version += 1
-                self._fire.add(report)
+                self._fire.add(report, came_ns)
+                for believed in self._clocks.believed(report, came_ns):
+                    self._merge(believed)
                 self._person_found[report.vehicle] = share = report.person_found
                 self._searched.append(replace(report, spots=()))
                 if share is not None:
                     self._shares = self._shares[0] + share, self._shares[1] + 1
-                for thing in self._merger.add(report):
-                    self._changed[thing.number] = self._version
+
+    def _merge(self, report: SpotReport) -> None:
+        for thing in self._merger.add(report):
+            self._changed[thing.number] = self._version
 
     @property
     def version(self) -> int:
@@ -54,6 +68,12 @@ class ReceivedSpots(ReportView[SpotReport]):
     def unplaced(self) -> int:
         with self._lock:
             return self._merger.unplaced
+
+    @property
+    def false_stamps(self) -> int:
+        """The number of reports whose stamp contradicted those of their session: what they show is of no thing."""
+        with self._lock:
+            return self._clocks.false_stamps
 
     @property
     def pictures(self) -> int:
@@ -98,3 +118,12 @@ class ReceivedSpots(ReportView[SpotReport]):
         """All, by number."""
         with self._lock:
             return self._merger.things()
+
+    def recent(self, seconds: float) -> list[FoundThing]:
+        """Those that were seen so long before the newest one at most, by the ground's clock."""
+        with self._lock:
+            things = self._merger.things()
+            newest = [thing.newest for thing in things]
+            times = [self._clocks.at_unix_ns(s.vehicle, s.session, s.capture_unix_ns) for s in newest]
+        since_ns = max(times, default=0) - round(seconds * 1e9)
+        return [thing for thing, at_ns in zip(things, times, strict=True) if at_ns >= since_ns]

@@ -22,8 +22,8 @@ SYNC_S = 2.0
 
 _READ = {topic.encoding for topic in TOPICS if topic is not STATUS}  # the state of before is of no use
 
-Kept = tuple[str, str, bytes]
-"""A message's key, its encoding, and the message."""
+Kept = tuple[str, str, bytes, int]
+"""A message's key, its encoding, the message, and when it came (Unix ns)."""
 
 
 class Journal:
@@ -83,7 +83,8 @@ def _messages(path: Path) -> Iterator[Kept]:
         elif opcode == MESSAGE and (data[start] | data[start + 1] << 8) in channels:
             topic, encoding = channels[data[start] | data[start + 1] << 8]
             if encoding in _READ:
-                yield topic, encoding, bytes(data[start + MESSAGE_HEAD.size : start + length])
+                came_ns = MESSAGE_HEAD.unpack_from(data, start)[2]
+                yield topic, encoding, bytes(data[start + MESSAGE_HEAD.size : start + length]), came_ns
 
 
 def _make_room(folder: Path, most_bytes: int) -> None:

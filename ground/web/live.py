@@ -11,7 +11,7 @@ import threading
 import time
 from bisect import bisect_left
 from collections import OrderedDict, deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -271,15 +271,15 @@ class LiveSource:
 
     def _read_journal(self, thread: SupervisedThread) -> None:
         """Take what earlier runs of this server received in the last hour, the newest file first."""
-        takes: dict[str, Callable[[str, bytes], object]] = {
-            PICTURE.encoding: self._pictures.take,
-            **{view.payload.topic.encoding: view.take for view in self.views},
-        }
+        views = {view.payload.topic.encoding: view for view in self.views}
         for _, age_s, messages in () if self._journal is None else self._journal.recent(HISTORY_S):
             counts: dict[str, int] = {}
-            for key, encoding, payload in messages:
-                if (take := takes.get(encoding)) is not None:
-                    take(key, payload)
+            for key, encoding, payload, came_ns in messages:
+                if encoding == PICTURE.encoding:
+                    self._pictures.take(key, payload)
+                    continue
+                if (view := views.get(encoding)) is not None:
+                    view.take(key, payload, came_ns)
                     continue
                 try:
                     found = read_set(key, payload)
