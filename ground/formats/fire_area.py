@@ -37,6 +37,8 @@ def features(fire: Fire) -> dict[str, Any]:
     for kind, area in _areas(fire):
         polygons = [[_digits(ring) for ring in polygon] for polygon in area.polygons]
         sizes = {"area_m2": round(area.area_m2, 1), "perimeter_m": round(area.perimeter_m, 1)}
+        if kind == "burned":
+            sizes["sigma_area_m2"] = round(fire.sigma_area_m2, 1)
         geometry = {"type": "MultiPolygon", "coordinates": polygons}
         made.append({"type": "Feature", "geometry": geometry, "properties": {"kind": kind, **sizes, **about}})
     return {"type": "FeatureCollection", "features": made}

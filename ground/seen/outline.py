@@ -51,13 +51,16 @@ def cells_inside(rings: Iterable[Array], rows: int, columns: int) -> Mask:
     """Mask (rows, columns) of the cells whose middles are inside of an odd number of rings (K, 2)."""
     crossed = np.zeros((rows, columns + 1), np.int64)
     for ring in rings:
-        for (x0, y0), (x1, y1) in zip(ring, np.roll(ring, -1, axis=0), strict=True):
-            if y0 == y1:
-                continue
-            low, high = min(y0, y1), max(y0, y1)
-            row = np.arange(max(int(np.ceil(low - 0.5)), 0), min(int(np.ceil(high - 0.5)), rows))
-            x = x0 + (row + 0.5 - y0) * (x1 - x0) / (y1 - y0)
-            crossed[row, np.clip(np.ceil(x - 0.5), 0, columns).astype(np.int64)] += 1
+        begin, end = np.asarray(ring, float), np.roll(ring, -1, axis=0)
+        ends = np.ceil(np.sort([begin[:, 1], end[:, 1]], axis=0) - 0.5)
+        first, last = np.clip(ends, 0, rows).astype(np.int64)
+        counts = last - first
+        # Every edge with every row whose middle it crosses.
+        edge = np.repeat(np.arange(len(begin)), counts)
+        row = np.arange(len(edge)) - np.repeat(np.cumsum(counts) - counts, counts) + first[edge]
+        (x0, y0), (x1, y1) = begin[edge].T, end[edge].T
+        x = x0 + (row + 0.5 - y0) * (x1 - x0) / (y1 - y0)
+        np.add.at(crossed, (row, np.clip(np.ceil(x - 0.5), 0, columns).astype(np.int64)), 1)
     out: Mask = np.cumsum(crossed, axis=1)[:, :columns] % 2 == 1
     return out
 

@@ -20,7 +20,7 @@ from contract.geodesy import LocalFrame, geodetic_to_ecef, level_ground_m, withi
 from contract.spot import Spot, SpotReport
 from ground.report_clocks import ReportClocks
 from ground.seen.outline import cells_inside, patches
-from ground.spots.fire_spread import Front, spread
+from ground.spots.fire_spread import Front, FrontFit
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -29,6 +29,7 @@ Ring = list[tuple[float, float]]
 HOT_C = 60.0  # above it a calibrated spot burns: no ground that the sun alone has warmed is so hot
 HOT_M2 = 2.0  # without calibration: smaller hot spots are no fire
 MOST_OUTLINES, MOST_CELLS, LEAST_CELL_M = 20_000, 300, 0.1
+CERTAIN = 3.0  # sigmas of an edge, beyond which none of a fire that stands errs
 CELLS_OF_AN_ERROR = 6.0  # that the shortest half axis of an ellipse is long at most: finer shows no more
 MOST_PICTURES = 100  # of more pictures so many, evenly: the next one adds little
 SMOOTHED = 4  # cells to either side, over which an outline's steps are averaged
@@ -49,6 +50,7 @@ class _Region:
     has_temperature: bool
     picture_share: float
     session_share: float
+    sigma_share: float  # of its area: one sigma of it
 
     @property
     def reach_m(self) -> float:
@@ -70,8 +72,8 @@ class Area:
 
 @dataclass(frozen=True, eq=False)
 class Fire:
-    """The ground that burned from `first_unix_ns` to `last_unix_ns`: as seen, surely, perhaps: with 90 % no outline
-    is off by more than lies between the first two, and 90 % of them by no more than lies between first and third.
+    """The ground that burned from `first_unix_ns` to `last_unix_ns`: as seen, of which `sigma_area_m2` is one sigma of
+    the area; surely, where with 90 % no outline is off by more than that is narrower; perhaps, where 90 % of them are.
     `spread_m_s`: how fast the fastest part of the front moved, with one sigma; None where there is no earlier time to
     compare. Without `has_temperature` some of it is only hotter than its ground.
     """
@@ -82,6 +84,7 @@ class Fire:
     burned: Area
     surely: Area
     perhaps: Area
+    sigma_area_m2: float
     has_temperature: bool
     spread_m_s: float | None
     sigma_spread_m_s: float | None
@@ -93,9 +96,10 @@ class Fire:
             how = f"spreads with {self.spread_m_s:.2f} +-{self.sigma_spread_m_s:.2f} m/s at its fastest"
         count = "in one picture" if self.pictures == 1 else f"in {self.pictures} pictures"
         what = "fire" if self.has_temperature else "fire, or what the sun has warmed (no temperature is known),"
+        area = f"{self.burned.area_m2:.0f} +-{self.sigma_area_m2:.0f} m2"
         return (
-            f"{what} of {self.burned.area_m2:.0f} m2 (surely {self.surely.area_m2:.0f}, perhaps "
-            f"{self.perhaps.area_m2:.0f}), perimeter {self.burned.perimeter_m:.0f} m, {how}, {count}, "
+            f"{what} of {area} (surely {self.surely.area_m2:.0f}, perhaps {self.perhaps.area_m2:.0f}), "
+            f"perimeter {self.burned.perimeter_m:.0f} m, {how}, {count}, "
             f"last at {time_utc(self.last_unix_ns)}"
         )
 
@@ -119,6 +123,7 @@ class FireGround:
                     report.capture_unix_ns, came_ns, (report.vehicle, report.session, report.frame),
                     (place.lat_deg, place.lon_deg), np.asarray(spot.outline_en_m, float), place.ellipse, spot.is_cut,
                     spot.temperature_c is not None, report.picture_share, report.session_share,
+                    spot.sigma_area_m2 / spot.area_m2 if spot.area_m2 > 0.0 else 0.0,
                 )
             )  # fmt: skip
 
@@ -132,12 +137,13 @@ class FireGround:
         if not held:
             return None
         places = [_FirePlace.of(regions) for regions in _by_place(held)]
-        spreads = [known for place in places if (known := place.spread()) is not None]
+        spreads = [known for place in places if (known := place.fit.spread()) is not None]
         rate_m_s, sigma_m_s = max(spreads) if spreads else (None, None)
         return Fire(
             min(r.at_ns for r in held), max(r.at_ns for r in held), len({r.frame for r in held}),
             _together([p.burned for p in places]), _together([p.surely for p in places]),
-            _together([p.perhaps for p in places]), all(r.has_temperature for r in held), rate_m_s, sigma_m_s,
+            _together([p.perhaps for p in places]), sum(p.sigma_area_m2 for p in places),
+            all(r.has_temperature for r in held), rate_m_s, sigma_m_s,
         )  # fmt: skip
 
     def copy(self) -> FireGround:
@@ -156,10 +162,9 @@ class FireGround:
 class _FirePlace:
     """One place where it burns: its regions on one plane, and what they mark on one grid."""
 
-    held: list[_Region]
-    grid: _Grid
-    mask: Mask
+    fit: FrontFit
     burned: Area
+    sigma_area_m2: float  # of what burned
     surely: Area
     perhaps: Area
 
@@ -167,21 +172,22 @@ class _FirePlace:
     def of(cls, regions: Sequence[_Region]) -> _FirePlace:
         frame = LocalFrame(*regions[0].place_deg, 0.0)
         held = [replace(r, ring_m=r.ring_m + frame.to_enu(*r.place_deg, 0.0)[:2]) for r in regions]
-        grid, pictures = _Grid.of(held, frame), len({r.frame for r in held})
-        # Each outline that is added can be the one that is off by too much: (26.11).
-        surely = math.sqrt(math.log((1.0 - CONFIDENCE) / pictures) / math.log(1.0 - CONFIDENCE))
-        masks = [grid.union([grid.cells(region, by) for region in held]) for by in (0.0, -surely, 1.0)]
-        return cls(held, grid, masks[0], *(grid.area(mask) for mask in masks))
-
-    def spread(self) -> tuple[float, float] | None:
-        """The front's fastest part, m/s, and one sigma, by all pictures' outlines."""
         by_picture: dict[tuple[str, int, int], list[_Region]] = {}
-        for region in self.held:
+        for region in sorted(held, key=lambda r: r.at_ns):
             by_picture.setdefault(region.frame, []).append(region)
-        first_ns = min(region.at_ns for region in self.held)
-        fronts = [_front(regions, first_ns) for regions in by_picture.values()]
-        parts = np.argwhere(_edge(self.mask))[:, ::-1] + 0.5
-        return spread(fronts, self.grid.corner_m + parts * self.grid.cell_m)
+        pictures, grid = list(by_picture.values()), _Grid.of(held, frame)
+        # Each outline that is added can be the one that is off by too much: (26.11).
+        least = math.sqrt(math.log((1.0 - CONFIDENCE) / len(pictures)) / math.log(1.0 - CONFIDENCE))
+        surely, perhaps = grid.union([grid.cells(region, -least) for region in held]), grid.perhaps(held)
+        edge_m = grid.corner_m + (np.argwhere(_edge(grid.seen(held)))[:, ::-1] + 0.5) * grid.cell_m
+        fit = FrontFit([_front(regions, held[0].at_ns) for regions in pictures], edge_m)
+        shifts_m, own_m = fit.shifts()
+        there = [_moved(regions, shift) for regions, shift in zip(pictures, shifts_m, strict=True)]
+        burned = grid.area((grid.burned(there, CERTAIN * own_m) | surely) & perhaps)
+        share = float(np.sqrt(np.mean([region.sigma_share**2 for region in held])))
+        # Pictures of one flight err by the same scale. (26.20)
+        sigma_m2 = math.hypot(share * burned.area_m2, own_m * burned.perimeter_m)
+        return cls(fit, burned, sigma_m2, grid.area(surely), grid.area(perhaps))
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,24 +210,55 @@ class _Grid:
         return cls(frame, low - 2.0 * cell_m, cell_m, rows, columns)
 
     def cells(self, region: _Region, by: float) -> Mask:
-        """The cells (rows, columns) of a region: as it is (0), or widened by so many of its ellipses, or, if that is
-        less than 0, narrowed. (26.10)
-        """
+        """The cells (rows, columns) of a region: as it is (0), or narrowed by -`by` of its ellipses. (26.10)"""
         ring = (region.ring_m - self.corner_m) / self.cell_m
         out = np.zeros((self.rows, self.columns), bool)
         if np.min(np.ptp(region.ring_m, axis=0)) < -2.0 * by * region.ellipse.semi_minor_m:
             return out  # narrowed by more than it is wide
         # Only about it: a large fire is many small outlines.
-        reach = abs(by) * region.ellipse.semi_major_m / self.cell_m + 3.0
+        rows, columns = about = self._about(region, abs(by) * region.ellipse.semi_major_m)
+        mask = cells_inside([ring - [columns.start, rows.start]], rows.stop - rows.start, columns.stop - columns.start)
+        if by < 0.0:
+            mask = ~_widened(~mask, region.ellipse, -by / self.cell_m)
+        out[about] = mask
+        return out
+
+    def seen(self, regions: Sequence[_Region]) -> Mask:
+        """The cells of regions as they are."""
+        return self.union([self.cells(region, 0.0) for region in regions])
+
+    def perhaps(self, held: Sequence[_Region]) -> Mask:
+        """All regions widened, those with the same ellipse together. (26.11)"""
+        by_ellipse: dict[Ellipse, list[_Region]] = {}
+        for region in held:
+            by_ellipse.setdefault(region.ellipse, []).append(region)
+        return self.union([_widened(self.seen(of), e, 1.0 / self.cell_m) for e, of in by_ellipse.items()])
+
+    def burned(self, pictures: Sequence[Sequence[_Region]], within_m: float) -> Mask:
+        """The cells that were seen burning more often than not from some picture on, or so far inside in any. (26.19)
+
+        `pictures`: regions by the picture, in the order of capture, where they are believed to be.
+        """
+        shape = self.rows, self.columns
+        votes, most, certain = np.zeros(shape, np.int16), np.zeros(shape, np.int16), np.zeros(shape, bool)
+        circle = Ellipse(within_m, within_m, 0.0)
+        for regions in reversed(pictures):
+            seen, near = self.seen(regions), np.zeros(shape, bool)
+            for region in regions:
+                if not region.is_cut:  # else the picture ends there, or the fire does
+                    near[self._about(region, region.ellipse.semi_major_m)] = True
+            votes += seen
+            votes -= near & ~seen
+            np.maximum(most, votes, out=most)
+            certain |= self.union([self.cells(replace(region, ellipse=circle), -1.0) for region in regions])
+        return certain | (most > 0)
+
+    def _about(self, region: _Region, reach_m: float) -> tuple[slice, slice]:
+        """Rows and columns that hold a region and what is so near to it."""
+        ring, reach = (region.ring_m - self.corner_m) / self.cell_m, reach_m / self.cell_m + 3.0
         x0, y0 = np.maximum(np.floor(ring.min(axis=0) - reach), 0).astype(int)
         x1, y1 = np.minimum(np.ceil(ring.max(axis=0) + reach), [self.columns, self.rows]).astype(int)
-        mask = cells_inside([ring - [x0, y0]], y1 - y0, x1 - x0)
-        if by > 0.0:
-            mask = self._widened(mask, region.ellipse, by)
-        elif by < 0.0:
-            mask = ~self._widened(~mask, region.ellipse, -by)
-        out[y0:y1, x0:x1] = mask
-        return out
+        return slice(y0, y1), slice(x0, x1)
 
     def union(self, masks: Sequence[Mask]) -> Mask:
         """(26.11)"""
@@ -245,29 +282,6 @@ class _Grid:
         lon = self.frame.lon_deg + within_180(lon - self.frame.lon_deg)
         out = [(float(x), float(y)) for x, y in zip(lon, lat, strict=True)]
         return [*out, out[0]]
-
-    def _widened(self, mask: Mask, ellipse: Ellipse, by: float) -> Mask:
-        """Mark all cells that an ellipse about a marked cell reaches, `by` times as large and half a cell longer, as
-        far as a cell's middle may be from an edge: for each row of it, a run in the mask's rows.
-        """
-        azimuth = math.radians(ellipse.azimuth_deg)
-        along, across = (math.sin(azimuth), math.cos(azimuth)), (math.cos(azimuth), -math.sin(azimuth))
-        a, b = (by * axis / self.cell_m + 0.5 for axis in (ellipse.semi_major_m, ellipse.semi_minor_m))
-        # x' A x <= 1
-        A = np.outer(along, along) / a**2 + np.outer(across, across) / b**2
-        reach, (rows, columns) = int(math.sqrt(A[0, 0] / float(np.linalg.det(A)))), mask.shape
-        out = np.zeros_like(mask)
-        sums = np.pad(np.cumsum(mask, axis=1), ((0, 0), (1, 0)))
-        for dy in range(-reach, reach + 1):
-            inside = (A[0, 1] * dy) ** 2 - A[0, 0] * (A[1, 1] * dy**2 - 1.0)
-            half, middle = math.sqrt(max(inside, 0.0)) / A[0, 0], -A[0, 1] * dy / A[0, 0]
-            low, high = math.ceil(middle - half), math.floor(middle + half)
-            first = np.clip(np.arange(columns) - high, 0, columns)
-            last = np.clip(np.arange(columns) - low + 1, 0, columns)
-            hit = sums[:, np.maximum(last, first)] > sums[:, first]
-            into, of = slice(max(dy, 0), max(rows + min(dy, 0), 0)), slice(max(-dy, 0), max(rows + min(-dy, 0), 0))
-            out[into] |= hit[of]
-        return out
 
 
 def _by_place(held: Sequence[_Region]) -> list[list[_Region]]:
@@ -299,6 +313,11 @@ def _thinned(held: list[_Region]) -> list[_Region]:
     return [region for region in held if region.frame in kept]
 
 
+def _moved(regions: Sequence[_Region], shift_m: Array) -> list[_Region]:
+    """A picture's regions without the error (2,), m, that it is taken to have."""
+    return [replace(region, ring_m=region.ring_m - shift_m) for region in regions]
+
+
 def _front(regions: list[_Region], first_ns: int) -> Front:
     """The outlines of one picture."""
     one = regions[0]
@@ -307,6 +326,28 @@ def _front(regions: list[_Region], first_ns: int) -> Front:
         tuple(r.is_cut for r in regions), np.mean([r.ellipse.covariance_en_m2 for r in regions], axis=0),
         one.picture_share, one.session_share,
     )  # fmt: skip
+
+
+def _widened(mask: Mask, ellipse: Ellipse, per_m: float) -> Mask:
+    """Mark all cells that an ellipse about a marked cell reaches, with `per_m` cells to a metre, half a cell longer, as
+    far as a cell's middle may be from an edge: for each row of it, a run in the mask's rows.
+    """
+    azimuth = math.radians(ellipse.azimuth_deg)
+    along, across = (math.sin(azimuth), math.cos(azimuth)), (math.cos(azimuth), -math.sin(azimuth))
+    a, b = (axis * per_m + 0.5 for axis in (ellipse.semi_major_m, ellipse.semi_minor_m))
+    # x' A x <= 1
+    A = np.outer(along, along) / a**2 + np.outer(across, across) / b**2
+    det, (rows, columns) = float(np.linalg.det(A)), mask.shape
+    reach, aside = int(math.sqrt(A[0, 0] / det)), int(math.sqrt(A[1, 1] / det)) + 2
+    out = np.zeros_like(mask)
+    sums = np.pad(np.cumsum(np.pad(mask, ((0, 0), (aside, aside))), axis=1, dtype=np.int32), ((0, 0), (1, 0)))
+    for dy in range(-reach, reach + 1):
+        inside = (A[0, 1] * dy) ** 2 - A[0, 0] * (A[1, 1] * dy**2 - 1.0)
+        half, middle = math.sqrt(max(inside, 0.0)) / A[0, 0], -A[0, 1] * dy / A[0, 0]
+        last, first = aside - math.ceil(middle - half) + 1, aside - math.floor(middle + half)
+        into, of = slice(max(dy, 0), max(rows + min(dy, 0), 0)), slice(max(-dy, 0), max(rows + min(-dy, 0), 0))
+        out[into] |= sums[of, last : last + columns] > sums[of, first : first + columns]
+    return out
 
 
 def _edge(mask: Mask) -> Mask:

@@ -1,4 +1,5 @@
-"""The speed of a fire's front: the distance of each of its parts from every picture's outline. (26.12) to (26.16)
+"""The front of a fire by the distance of each of its parts from every picture's outline: how fast it moves, and by how
+much each picture is off. (26.12) to (26.18)
 
 No clock and no I/O.
 """
@@ -18,12 +19,13 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 MOST_PARTS = 32  # of the front
-FARTHEST_SHARE = 0.95  # of the front's parts, that move less fast than what is reported
 LEAST_SPREAD_S = 10.0
 SESSION_TIME_S = 60.0  # for which a receiver's error lasts, the part of a session's that moves
 MISSED_SIGMAS = 3.0  # by which an outline is behind the others' front where it does not show that part
 FITS = 8
+MOST_BENDS, MOST_SIGMAS = 0.9, 1.645  # a share of normal variates, and what so many are within
 STATED = 10.0  # degrees of freedom that the stated errors count as, against what the outlines show of them
+RECEDES = 18.4  # chi-square of two, 1e-4, as of (26.9): what errors do not explain burns no longer
 WORSE = 2.0  # times the usual sigma, above which a part is not known well enough to be the fastest
 EDGE_SHARE, STRAIGHT = 0.02, 0.35  # of an outline's reach: how near to a line, and so long, is the picture's edge
 ROUNDED = 1.0 / 127.0  # of an outline's reach: the step of its corners on the wire
@@ -54,7 +56,7 @@ class _Errors:
         self._picture = np.array([front.picture_share for front in fronts])
         self._session = np.minimum([front.session_share for front in fronts], self._picture)
         reach_m = [max(float(np.ptp(ring, axis=0).max()) for ring in front.rings_m) for front in fronts]
-        self._corners_m2 = (0.5 * ROUNDED * np.array(reach_m)) ** 2 / 12.0 + LEAST_M**2
+        self.corners_m2 = (0.5 * ROUNDED * np.array(reach_m)) ** 2 / 12.0 + LEAST_M**2
         times_s = np.array([front.at_s for front in fronts])
         lag_s = np.abs(times_s[:, None] - times_s[None])
         number = np.unique([f"{front.session}" for front in fronts], return_inverse=True)[1]
@@ -70,11 +72,29 @@ class _Errors:
     def along(self, normal: Array) -> Array:
         """(K, K), m^2, of the distances along a normal (2,)."""
         along = np.einsum("i,kij,j->k", normal, self._whole_m2, normal)
-        out = np.diag(along * (1.0 - self._picture) + self._corners_m2)
+        out = np.diag(along * (1.0 - self._picture) + self.corners_m2)
         for share, lasts in zip((self._picture - self._session, self._session), self._lasts, strict=True):
             sigma = np.sqrt(along * share)
             out += lasts * np.outer(sigma, sigma)
         return out
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """One part of the front: its speed, m/s, with its variance, its outward normal (2,), the fit's misfit and freedom,
+    the time over which pictures show it; how far (K,), m, it is from where the fit has it in each picture, with the
+    normals (K, 2), and which (K,) show it.
+    """
+
+    speed_m_s: float
+    variance: float
+    outward: Array
+    misfit: float
+    freedom: float
+    lasted_s: float
+    away_m: Array
+    normals: Array
+    is_shown: Mask
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,42 +108,117 @@ class _Seen:
     is_shown: Mask
 
 
-def spread(fronts: Sequence[Front], parts_m: Array) -> tuple[float, float] | None:
-    """The speed of the fastest of the front's parts (N, 2), m/s, and one sigma; None while too little is known."""
-    if not fronts or not len(parts_m):
-        return None
-    errors = _Errors(fronts)
-    each = (_speed(fronts, errors, seen) for seen in _all_seen(fronts, parts_m))
-    known = [found for found in each if found is not None]
-    if not known:
-        return None
-    speeds, variances, outward, misfits, freedoms = (np.array(column) for column in zip(*known, strict=True))
-    # All parts show the same errors of places, which have two axes.
-    variances *= (STATED + 2.0 * float(misfits.mean())) / (STATED + 2.0 * float(freedoms.mean()))
-    is_good = np.sqrt(variances) <= WORSE * float(np.median(np.sqrt(variances)))
-    along = outward[is_good] @ symmetric_root(errors.mean_m2)
-    length = np.maximum(np.hypot(*along.T), LEAST_M)
-    per_sigma = (np.sqrt(variances[is_good]) / length)[:, None] * along
-    return _fastest(speeds[is_good], per_sigma)
+class FrontFit:
+    """All outlines of a place's pictures, fitted to a front each part of which moves evenly."""
+
+    def __init__(self, fronts: Sequence[Front], parts_m: Array) -> None:
+        """`parts_m` (N, 2): places along the front."""
+        self._fronts, self._errors = fronts, _Errors(fronts)
+        each = (_part(fronts, self._errors, seen) for seen in _all_seen(fronts, parts_m))
+        self._parts = [part for part in each if part is not None]
+
+    def spread(self) -> tuple[float, float] | None:
+        """The speed of the front's fastest part, m/s, and one sigma; None while too little is known."""
+        known = [part for part in self._parts if part.lasted_s >= LEAST_SPREAD_S]
+        return _fastest(*self._speeds(known)[:2]) if known else None
+
+    def shifts(self) -> tuple[Array, float]:
+        """By how much each picture's outlines (K, 2) are off, m, from where all of them together have the fire, and one
+        sigma of what is left of each part of them. (26.17), (26.18)
+        """
+        out = np.zeros((len(self._fronts), 2))
+        variance = self._errors.corners_m2
+        if not self._parts:
+            return out, float(np.sqrt(variance.mean()))
+        away, normals, shown = (
+            np.stack([getattr(part, name) for part in self._parts]) for name in ("away_m", "normals", "is_shown")
+        )
+        for k, front in enumerate(self._fronts):
+            n, r = normals[shown[:, k], k], away[shown[:, k], k]
+            information = n.T @ n / variance[k] + np.linalg.inv(front.covariance_m2 + LEAST_M**2 * np.eye(2))
+            out[k] = -np.linalg.solve(information, n.T @ r / variance[k])
+        left = away + np.einsum("pki,ki->pk", normals, out)
+        own_m = float(np.sqrt(variance.mean() + _own_m2(left, shown)))
+        times_s = np.array([front.at_s for front in self._fronts])
+        own_m_s = own_m * float(np.sqrt(12.0 / len(times_s))) / max(float(np.ptp(times_s)), 1e-9)
+        drift_m_s = self._drift(own_m_s)
+        if drift_m_s is None:  # what drives on is no front that moves evenly
+            return np.zeros_like(out), own_m
+        return out + np.outer(times_s - times_s.mean(), drift_m_s), own_m
+
+    def _speeds(self, parts: Sequence[_Part]) -> tuple[Array, Array, Array]:
+        """Speeds (N,) of the parts that are known well, and how they err together: (N, 2) times two normal variates;
+        and their normals (N, 2).
+        """
+        variances = np.array([part.variance for part in parts])
+        # All parts show the same errors of places, which have two axes.
+        misfit, freedom = (float(np.mean([getattr(p, name) for p in parts])) for name in ("misfit", "freedom"))
+        variances *= (STATED + 2.0 * misfit) / (STATED + 2.0 * freedom)
+        is_good = np.sqrt(variances) <= WORSE * float(np.median(np.sqrt(variances)))
+        outward = np.array([part.outward for part in parts])[is_good]
+        along = outward @ symmetric_root(self._errors.mean_m2)
+        length = np.maximum(np.hypot(*along.T), LEAST_M)
+        per_sigma = (np.sqrt(variances[is_good]) / length)[:, None] * along
+        return np.array([part.speed_m_s for part in parts])[is_good], per_sigma, outward
+
+    def _drift(self, own_m_s: float) -> Array | None:
+        """The speed (2,) at which the pictures' errors move: the least with which no part of the front recedes; None
+        where errors explain nothing like it. (26.18)
+        """
+        speeds, per_sigma, outward = self._speeds(self._parts)
+        zeta = _least_within(per_sigma, speeds, own_m_s)
+        if zeta @ zeta >= RECEDES:
+            return None
+        # The drift that is so much along each normal.
+        out: Array = np.asarray(np.linalg.lstsq(outward, per_sigma @ zeta, rcond=None)[0], float)
+        return out
+
+
+def _own_m2(left_m: Array, is_shown: Mask) -> float:
+    """The variance of distances (N, K) from picture to picture: a part that moves unevenly is no error of outlines."""
+    bends = np.diff(left_m, n=2, axis=1)[is_shown[:, 2:] & is_shown[:, 1:-1] & is_shown[:, :-2]]
+    return float(np.quantile(np.abs(bends), MOST_BENDS) / MOST_SIGMAS) ** 2 / 6.0 if len(bends) else 0.0
+
+
+def _least_within(normals: Array, limits: Array, sigma: float) -> Array:
+    """The least (2,), in sigmas, whose products with normals (N, 2) are within limits (N,), of one sigma: (26.18)."""
+    out, beyond = np.zeros(2), limits < 0.0
+    for _ in range(FITS):
+        n = normals[beyond] / sigma
+        out = np.asarray(np.linalg.solve(np.eye(2) + n.T @ n, n.T @ limits[beyond] / sigma), float)
+        before, beyond = beyond, normals @ out > limits
+        if np.array_equal(before, beyond):
+            break
+    return out
 
 
 def _fastest(speeds: Array, per_sigma: Array) -> tuple[float, float]:
     """The fastest of speeds (N,) that err together by (N, 2) times two normal variates, and one sigma. (26.15), (26.16)
 
-    The greatest of erring values is too great in the mean: by as much as it grows when they err once more.
+    The greatest of erring values is too great in the mean: so the speeds differ by less, by as much as errors add, and
+    what that leaves is taken off by what the same estimate makes of speeds that err once more.
     """
     angles = 2.0 * np.pi * (np.arange(NODES[0]) + 0.5) / NODES[0]
     far = np.sqrt(-2.0 * np.log(1.0 - (np.arange(NODES[1]) + 0.5) / NODES[1]))
     nodes = np.array([[r * np.cos(a), r * np.sin(a)] for r in far for a in angles])
-    found = float(np.quantile(speeds, FARTHEST_SHARE))
-    again = np.quantile(speeds + nodes @ per_sigma.T, FARTHEST_SHARE, axis=1)
-    grown = float(again.mean()) - found
-    # How much of it is due depends on the errors that there were: it is as uncertain as it is large.
-    return max(found - grown, 0.0), float(np.hypot(again.std(), grown))
+    added = float(np.sum(per_sigma.var(axis=0)))
+    without = _without(speeds, added)
+    again = _without(without + nodes @ per_sigma.T, added).max(axis=1)
+    found = 2.0 * float(without.max()) - float(again.mean())
+    # How much is due depends on the errors that there were: it is as uncertain as it is large.
+    return max(found, 0.0), float(np.hypot(again.std(), speeds.max() - found))
 
 
-def _speed(fronts: Sequence[Front], errors: _Errors, seen: _Seen) -> tuple[float, float, Array, float, float] | None:
-    """The speed of one part of the front, its variance, its outward normal (2,), the fit's misfit and freedom. (26.14)
+def _without(speeds: Array, added: float) -> Array:
+    """Speeds (..., N) that differ by less: their variance has no longer what errors have added to it. (26.15)"""
+    mean, variance = speeds.mean(axis=-1, keepdims=True), speeds.var(axis=-1, keepdims=True)
+    share = np.sqrt(np.maximum(1.0 - added / np.maximum(variance, LEAST_M**2 * 1e-6), 0.0))
+    out: Array = mean + share * (speeds - mean)
+    return out
+
+
+def _part(fronts: Sequence[Front], errors: _Errors, seen: _Seen) -> _Part | None:
+    """The fit of one part of the front; None if too little is known. (26.14)
 
     Begins with the outlines that nothing cuts. One that is far behind the line does not show that part of the front.
     """
@@ -131,21 +226,22 @@ def _speed(fronts: Sequence[Front], errors: _Errors, seen: _Seen) -> tuple[float
     whole = seen.is_shown & np.array([not any(front.is_cut) for front in fronts])
     used = whole if _lasted_s(times_s[whole]) >= LEAST_SPREAD_S else seen.is_shown
     for _ in range(FITS):
-        if _lasted_s(times_s[used]) < LEAST_SPREAD_S:
+        lasted_s = _lasted_s(times_s[used])
+        if not lasted_s:
             return None
         normal = seen.outward[used].sum(axis=0)
         normal /= max(float(np.hypot(*normal)), 1e-9)
         V = errors.along(normal)
         H = np.column_stack([np.ones(len(fronts)), times_s - times_s[used].mean()])
-        weighed = np.linalg.solve(V[np.ix_(used, used)], H[used])
-        C = np.linalg.inv(H[used].T @ weighed)
-        fit = C @ (weighed.T @ seen.away_m[used])
+        weighed = np.linalg.solve(V[np.ix_(used, used)], np.column_stack([H, seen.away_m])[used])
+        C = np.linalg.inv(H[used].T @ weighed[:, :2])
+        fit = C @ (H[used].T @ weighed[:, 2])
         behind = (seen.away_m - H @ fit) / np.sqrt(np.diagonal(V) + np.sum((H @ C) * H, axis=1))
         agree = seen.is_shown & (behind <= MISSED_SIGMAS)
         if np.array_equal(agree, used):
-            residual = (seen.away_m - H @ fit)[used]
-            misfit = float(residual @ np.linalg.solve(V[np.ix_(used, used)], residual))
-            return -float(fit[1]), float(C[1, 1]), normal, misfit, np.count_nonzero(used) - 2.0
+            away_m, freedom = seen.away_m - H @ fit, np.count_nonzero(used) - 2.0
+            misfit = float(away_m[used] @ (weighed[:, 2] - weighed[:, :2] @ fit))
+            return _Part(-float(fit[1]), float(C[1, 1]), normal, misfit, freedom, lasted_s, away_m, seen.outward, used)
         used = agree
     return None
 

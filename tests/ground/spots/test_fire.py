@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from contract.answer import time_utc
+from contract.answer import Ellipse, time_utc
 from contract.feature_set import FeatureSet
 from contract.geodesy import LocalFrame
 from contract.spot import Spot, SpotReport
@@ -59,7 +59,7 @@ def test_a_fire_is_as_large_as_it_is_and_its_edge_is_between_surely_and_perhaps(
     for seed in range(3):
         fire, radius_m = spreading(seed, 0.1)
         true_m2 = math.pi * radius_m**2
-        assert fire.burned.area_m2 == pytest.approx(true_m2, rel=0.08)
+        assert fire.burned.area_m2 == pytest.approx(true_m2, rel=0.04)
         assert fire.surely.area_m2 < true_m2 < fire.perhaps.area_m2 < 1.35 * true_m2
         assert fire.surely.area_m2 > 0.75 * true_m2
         assert fire.burned.perimeter_m == pytest.approx(2.0 * math.pi * radius_m, rel=0.05)
@@ -84,23 +84,116 @@ PASSES_S = np.concatenate([30.0 * k + np.arange(0.0, 5.0, 0.5) for k in range(4)
 EVENLY_S = np.arange(0.0, 120.0, 2.0)
 
 
-def drifting(seed: int, rate_m_s: float, times_s: Array, errors: float = 1.0) -> tuple[float, float]:
-    """Rate and sigma of a round fire whose outlines err as stated: 2 m^2 of the receiver's for a minute, the rest not.
+SHAPES = ("round", "wind", "line", "fan")
 
-    `errors`: what the errors are of those stated.
+
+def outline_m(shape: str, radius_m: float, gone_m: float) -> Array:
+    """Corners (48, 2) of a fire that has gone so far at its fastest: on all sides, with a back and flanks that stand,
+    as a line's both sides, or less the more a part of it looks away from the wind.
+    """
+    angles = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
+    out = np.column_stack([np.cos(angles), np.sin(angles)])
+    if shape == "wind":
+        return radius_m * out + np.outer(out[:, 0] > 0.0, (gone_m, 0.0))
+    if shape == "line":
+        return (radius_m + gone_m) * out + np.outer(np.sign(out[:, 0]), (8.0, 0.0))
+    share = np.maximum(0.3 + 0.7 * out[:, 0], 0.0) if shape == "fan" else 1.0
+    return np.reshape(radius_m + gone_m * share, (-1, 1)) * out
+
+
+def area_of(ring: Array) -> float:
+    x, y = ring.T
+    return 0.5 * float(abs(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
+
+
+def erring(
+    seed: int, shape: str, radius_m: float, rate_m_s: float, times_s: Array, errors: float = 1.0, scale: float = 0.0
+) -> tuple[Fire, float]:
+    """A fire whose outlines err as stated, 2 m^2 of the receiver's for a minute, the rest not; and its area at the end.
+
+    `errors`: what the errors are of those stated; `scale`: one sigma of what areas are off by, most of it a session's.
     """
     rng = np.random.default_rng([seed, 951])
     root, ground = errors * np.linalg.cholesky(COV), FireGround()
     parts, shares, lasts_s = rng.normal(size=(2, 2)), (0.6, 0.2), (60.0, 10.0)
+    common = rng.normal()
     for k, at_s in enumerate(times_s):
         if k:
             keep = np.exp(-(at_s - times_s[k - 1]) / np.array(lasts_s))[:, None]
             parts = keep * parts + np.sqrt(1.0 - keep**2) * rng.normal(size=(2, 2))
         east, north = root @ (np.sqrt(shares) @ parts + np.sqrt(0.2) * rng.normal(size=2))
-        ground.add(report(k, float(at_s), burning(circle(5.0 + rate_m_s * at_s, 24), float(east), float(north))))
+        ring = outline_m(shape, radius_m, rate_m_s * at_s)
+        larger = 1.0 + 0.5 * scale * (math.sqrt(0.8) * common + math.sqrt(0.2) * rng.normal())
+        stated = {"area_m2": area_of(ring), "sigma_area_m2": scale * area_of(ring)}
+        corners = tuple((float(x), float(y)) for x, y in larger * ring)
+        sent = report(k, float(at_s), replace(burning(corners, float(east), float(north)), **stated))
+        ground.add(decode_spots(encode_spots(sent), "uav-1"))
     fire = ground.fire(10.0)
-    assert fire is not None and fire.spread_m_s is not None and fire.sigma_spread_m_s is not None
-    return fire.spread_m_s, fire.sigma_spread_m_s
+    assert fire is not None
+    return fire, area_of(ring)
+
+
+def drifting(seed: int, rate_m_s: float, times_s: Array, errors: float = 1.0, shape: str = "round") -> Array:
+    """Rate and sigma of such a fire of 5 m."""
+    fire, _ = erring(seed, shape, 5.0, rate_m_s, times_s, errors)
+    assert fire.spread_m_s is not None and fire.sigma_spread_m_s is not None
+    return np.array([fire.spread_m_s, fire.sigma_spread_m_s])
+
+
+@pytest.mark.parametrize("pictures", [1, 2, 10, 50])
+def test_a_fire_that_stands_is_as_large_as_it_is_in_however_many_pictures(pictures: int) -> None:
+    """All outlines together are 1.2 times as large in 10 pictures, 1.4 times in 50."""
+    fire, true_m2 = erring(1, "round", 12.0, 0.0, 2.0 * np.arange(pictures))
+    assert fire.burned.area_m2 == pytest.approx(true_m2, rel=0.03)
+    assert fire.surely.area_m2 < true_m2 < fire.perhaps.area_m2 and fire.sigma_area_m2 < 0.05 * true_m2
+
+
+def test_a_fire_that_grew_a_little_and_one_that_ran_are_as_large_as_they_became() -> None:
+    for shape, rate_m_s, times_s in (("round", 0.02, 2.0 * np.arange(50)), ("wind", 1.0, 0.5 * np.arange(30))):
+        fire, true_m2 = erring(2, shape, 10.0, rate_m_s, times_s)
+        assert fire.burned.area_m2 == pytest.approx(true_m2, rel=0.04)
+
+
+def test_outlines_without_an_error_are_as_they_are() -> None:
+    ground = FireGround()
+    for k in range(12):
+        spot = burning(circle(8.0))
+        assert spot.place is not None
+        exact = replace(spot, place=replace(spot.place, ellipse=Ellipse(0.0, 0.0, 0.0)))
+        ground.add(report(k, 2.0 * k, exact))
+    fire = ground.fire(10.0)
+    assert fire is not None and fire.burned.area_m2 == pytest.approx(math.pi * 64.0, rel=0.02)
+    assert fire.spread_m_s == pytest.approx(0.0, abs=0.01)
+
+
+def test_what_burned_out_or_drove_on_was_there() -> None:
+    """It is no error of the pictures that the far side of what moves recedes."""
+    ground = FireGround()
+    for k in range(40):
+        ground.add(report(k, float(k), burning(circle(6.0), 0.6 * k)))
+    fire = ground.fire(10.0)
+    assert fire is not None and fire.burned.area_m2 == pytest.approx(math.pi * 36.0 + 12.0 * 0.6 * 39.0, rel=0.06)
+    assert fire.spread_m_s == pytest.approx(0.6, abs=1.65 * fire.sigma_spread_m_s)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("pictures", [1, 10, 50, 100])
+def test_areas_are_right_in_the_mean_and_their_sigma_holds_nine_of_ten(pictures: int) -> None:
+    times_s = np.linspace(0.0, min(2.0 * (pictures - 1), 120.0), pictures)
+    drawn = [
+        (*erring(100 * seed + pictures, shape, radius_m, rate_m_s, times_s, scale=0.03),)
+        for seed in range(6)
+        for shape, radius_m, rate_m_s in (
+            ("round", 12.0, 0.0),
+            ("line", 5.0, 0.0),
+            ("wind", 10.0, 0.2),
+            ("fan", 8.0, 0.3),
+        )
+    ]
+    ratio = np.array([fire.burned.area_m2 / true_m2 for fire, true_m2 in drawn])
+    off = np.array([(fire.burned.area_m2 - true_m2) / fire.sigma_area_m2 for fire, true_m2 in drawn])
+    assert 0.95 < ratio.mean() < 1.05
+    assert np.mean(np.abs(off) < 1.645) > 0.75 and 0.3 < np.mean(off**2) < 1.7
 
 
 def test_a_fire_that_is_passed_now_and_then_spreads_as_fast_as_it_does() -> None:
@@ -113,9 +206,9 @@ def test_a_fire_that_is_passed_now_and_then_spreads_as_fast_as_it_does() -> None
 def test_nine_rates_of_spread_of_ten_are_within_their_bounds_and_these_are_no_wider_than_needed(
     rate_m_s: float, times_s: Array
 ) -> None:
-    known = np.array([drifting(seed, rate_m_s, times_s) for seed in range(24)])
+    known = np.array([drifting(seed, rate_m_s, times_s, shape=SHAPES[seed % 4]) for seed in range(32)])
     off = (known[:, 0] - rate_m_s) / known[:, 1]
-    assert np.mean(np.abs(off) < 1.645) > 0.75 and 0.5 < np.mean(off**2) < 1.6
+    assert np.mean(np.abs(off) < 1.645) > 0.75 and 0.4 < np.mean(off**2) < 1.7 and abs(np.mean(off)) < 0.6
     assert np.median(known[:, 1]) < 0.03
 
 
