@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.foreign_clock.flight_parts import by_parts, overstated, resampled
+from onboard.foreign_clock.flight_parts import by_parts, first_of_parts, overstated, resampled
 from onboard.foreign_clock.log_track import LogTrack
 from onboard.foreign_clock.motion_cost import MotionCost, MotionNoise
 from onboard.foreign_clock.picture_pairs import Pairs
@@ -128,7 +128,8 @@ def _rival(cost: _Cost, near: _Fit, offsets_s: Array, costs: Array) -> float | N
 def _step(cost: _Cost, offsets_s: Array, parts: Array, mean_s: float, factor: float) -> float | None:
     """The other offset (s) of the flight's beginning or of its end, where these are clearly of another; None where the
     whole flight is of one. `parts` (T, B) are those of the other offsets; those of other zones are tried. `factor`:
-    by which all costs overstate. (28.13)
+    by which all costs overstate. Both offsets are compared with common states of that part alone: those of the whole
+    flight are a compromise, and one that leaves out most of it is none. (28.13)
     """
     zones_s = mean_s + ZONE_S * np.arange(-round(REACH_S / ZONE_S), round(REACH_S / ZONE_S) + 1)
     zones_s = zones_s[np.abs(zones_s - mean_s) > 0.5 * ZONE_S]
@@ -141,8 +142,13 @@ def _step(cost: _Cost, offsets_s: Array, parts: Array, mean_s: float, factor: fl
         gain = better[:, some].sum(axis=1)
         large = np.flatnonzero(gain > needed * factor)
         certain = gain[large] / np.maximum(overstated(better[large, some]), factor) / needed
-        if len(large) and certain.max() > found[0]:
-            found = float(certain.max()), float(offsets_s[large[np.argmax(certain)]])
+        if not len(large) or certain.max() <= found[0]:
+            continue
+        other_s = float(offsets_s[large[np.argmax(certain)]])
+        by_itself = -np.diff(cost.parts_alone(np.array([mean_s, other_s]), some), axis=0)
+        alone = float(by_itself.sum() / np.maximum(overstated(by_itself), factor)[0] / needed)
+        if alone > found[0]:
+            found = alone, other_s
     return found[1]
 
 
@@ -277,6 +283,17 @@ class _Cost:
     def parts(self, offsets_s: Array) -> Array:
         """(T, B) costs of the flight's parts, by some of many pairs."""
         return by_parts(self._some(offsets_s).total) * self._every
+
+    def parts_alone(self, offsets_s: Array, some: slice) -> Array:
+        """(T, B) costs of some parts that follow one another, by all pairs, with common states of these parts alone."""
+        pairs = self.evidence.pairs
+        first = first_of_parts(len(pairs))
+        edges = np.append(first, len(pairs))[some.start or 0 : None if some.stop is None else some.stop + 1]
+        kept = slice(edges[0], edges[-1])
+        alone = Pairs(pairs.moments_ns[kept], pairs.at[kept], pairs.to[kept])
+        total = MotionCost(self.evidence.track, alone, self._noise)(offsets_s).total
+        out: Array = np.add.reduceat(total, edges[:-1] - edges[0], axis=1)
+        return out
 
     def _others(self, offsets_s: Array) -> Array:
         e, stated = self.evidence, self._stated

@@ -19,11 +19,15 @@ LOG_FACTORS, HALVINGS = (-10.0, 15.0), 40
 
 def by_parts(costs: Array) -> Array:
     """Costs (T, K) of pairs in order of time -> those of the flight's parts (T, B), as many pairs in each."""
-    pairs = costs.shape[1]
-    count = min(BLOCKS, pairs)
-    first = (np.arange(count) * pairs + count - 1) // max(count, 1)
-    out: Array = np.add.reduceat(costs, first, axis=1) if count else np.zeros((len(costs), 0))
+    first = first_of_parts(costs.shape[1])
+    out: Array = np.add.reduceat(costs, first, axis=1) if len(first) else np.zeros((len(costs), 0))
     return out
+
+
+def first_of_parts(pairs: int) -> NDArray[np.intp]:
+    """The first pair of each part (B,) of a flight."""
+    count = min(BLOCKS, pairs)
+    return (np.arange(count) * pairs + count - 1) // max(count, 1)
 
 
 def resampled(offsets_s: Array, parts: Array, others: Array) -> tuple[float, float] | None:

@@ -1,5 +1,6 @@
 """A click whose picture's time is known to some tenths of a second: its ellipse has that, and no more."""
 
+import copy
 import math
 from collections.abc import Callable
 from functools import cache
@@ -81,6 +82,47 @@ def test_a_hovering_aircraft_owes_nothing_to_the_delay() -> None:
     found = clicked(3.0, its_sets(World()))
     assert np.max(np.abs(found.by_delay_m2)) < 1e-6
     assert np.isclose(found.answer.ellipse.semi_major_m, 2.146, rtol=0.02)
+
+
+def swung(seed: int) -> World:
+    """It flies, and nods and yaws by some metres on the ground, with periods of 1.2 to 6 s."""
+    rng = np.random.default_rng(seed)
+    turning = 2.0 * np.pi / np.exp(rng.uniform(math.log(1.2), math.log(6.0), (2, 4)))
+    phase, size_m = rng.uniform(0.0, 2.0 * np.pi, (2, 4)), rng.uniform(1.0, 4.0)
+
+    def camera(t: float) -> tuple[float, float]:
+        east_m, north_m = np.sum(size_m * np.sin(turning * t + phase), axis=1)
+        return SPEED_M_S * t + float(east_m), float(north_m)
+
+    out = copy.copy(world())  # its ground is no part of a set
+    out.camera = camera
+    return out
+
+
+def test_what_swings_between_two_sets_a_second_apart_is_in_the_ellipse() -> None:
+    """A straight line through three of them had 75 % inside, and 3.7 ellipses off."""
+    inside = []
+    for seed in range(60):
+        swinging = swung(seed)
+        rng = np.random.default_rng([seed, 1])
+        shown_s = 40.0 + rng.uniform(0.0, 1.0)
+        sets = [swinging.its_set(number) for number in range(320, 420, 10)]
+        found = locate_untimed(sets, SHARE, at_ns(shown_s + rng.normal(0.0, 0.1)), 0.1)
+        if not isinstance(found.answer, Fix):
+            assert found.answer.status is Status.UNCERTAIN
+            continue
+        swings_m = np.subtract(swinging.camera(shown_s), [SPEED_M_S * shown_s, 0.0])
+        error = error_m(found, shown_s) - swings_m - POSE_ERROR_M + rng.normal(0.0, 1.0, 2)
+        inside.append(error @ np.linalg.solve(found.answer.covariance_enu_m2[:2, :2], error) / 4.605)
+    assert len(inside) >= 50
+    assert np.mean(np.array(inside) < 1.0) >= 0.9 and max(inside) < 3.0**2
+    assert np.mean(np.array(inside) < 0.5**2) < 0.9  # nor is it wider than it need be
+
+
+def test_a_camera_that_swings_too_much_between_its_pictures_is_refused() -> None:
+    swinging = World(camera=lambda t: (25.0 * math.sin(2.0 * math.pi * t / 1.7), 0.0))
+    assert clicked(3.0, its_sets(swinging)[::10], 0.1).answer.status is Status.UNCERTAIN
+    assert isinstance(clicked(3.0, its_sets(swinging), 0.1).answer, Fix)  # ten pictures a second show how
 
 
 def test_sets_that_come_seldom_still_state_how_far_it_moves() -> None:
