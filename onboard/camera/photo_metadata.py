@@ -18,6 +18,7 @@ import numpy as np
 from PIL import ExifTags, Image
 
 from contract.errors import InputError
+from contract.geodesy import LocalFrame
 from contract.rotations import euler_from_matrix, matrix_from_euler
 from onboard.camera.file_stamps import exif_moment
 from onboard.camera.photo_lens import Focal, focal_of, full_size, number
@@ -63,6 +64,7 @@ class PhotoMetadata:
     place_lacks_side: bool = False  # a latitude and longitude without what side of the equator and of Greenwich
     counts: str = ""  # the kind of R-JPEG whose sixteen bit counts are the picture, of `size_px`; empty for others
     serial: str = ""  # of the camera's body
+    places_apart_m: float = 0.0  # of two that it states, in XMP and in EXIF: who edits one leaves the other as it was
 
 
 def read_photo(path: Path) -> PhotoMetadata:
@@ -75,9 +77,13 @@ def read_photo(path: Path) -> PhotoMetadata:
             packet = image.info.get("xmp", b"") or exif.get(ExifTags.Base.XMLPacket, b"")
             xmp = read_xmp(packet.encode() if isinstance(packet, str) else bytes(packet))
             counts, size_px = radiometric(image) or ("", image.size)
+            shown_px = image.size
     except UNDECODABLE as error:
         why = " ".join(str(error).split()).replace(str(path), path.name)
         raise InputError(f"photograph {path}: cannot be read ({why})") from error
+    if counts and ExifTags.Base.ExifImageWidth not in details:  # a lens in pixels is of the picture for people
+        sides = (ExifTags.Base.ExifImageWidth, ExifTags.Base.ExifImageHeight)
+        details |= dict(zip(sides, shown_px, strict=True))
     make, kind = (str(exif.get(tag, "")).strip("\0 ") for tag in (ExifTags.Base.Make, ExifTags.Base.Model))
     model = f"{make} {kind}".strip()
     stamp_ns, is_whole_s = _stamp(details, xmp)
@@ -109,6 +115,7 @@ def read_photo(path: Path) -> PhotoMetadata:
         gps_ns=_gps_time(gps),
         place_lacks_side=lacks_side,
         counts=counts,
+        places_apart_m=_places_apart_m(gps, xmp),
         serial=(str(details.get(ExifTags.Base.BodySerialNumber, "")) or xmp.get("CameraSerialNumber", "")).strip("\0 "),
     )
 
@@ -163,13 +170,34 @@ def _gps_time(gps: Mapping[int, object]) -> int | None:
 
 def _place(gps: Mapping[int, object], xmp: Mapping[str, str]) -> tuple[float | None, float | None]:
     """Latitude and longitude in degrees; DJI's XMP has more digits than its EXIF, and one letter too many."""
-    lat = number(xmp.get("GpsLatitude", xmp.get("Latitude")))
-    lon = number(xmp.get("GpsLongitude", xmp.get("GpsLongtitude", xmp.get("Longitude"))))
+    lat, lon = _xmp_place(xmp)
     if lat is None or lon is None:
-        lat = _sexagesimal(gps.get(ExifTags.GPS.GPSLatitude), gps.get(ExifTags.GPS.GPSLatitudeRef), "NS")
-        lon = _sexagesimal(gps.get(ExifTags.GPS.GPSLongitude), gps.get(ExifTags.GPS.GPSLongitudeRef), "EW")
-    usable = lat is not None and lon is not None and abs(lat) <= 90.0 and abs(lon) <= 180.0
-    return (lat, lon) if usable and (lat, lon) != (0.0, 0.0) else (None, None)
+        lat, lon = _exif_place(gps)
+    return (lat, lon) if _is_place(lat, lon) else (None, None)
+
+
+def _xmp_place(xmp: Mapping[str, str]) -> tuple[float | None, float | None]:
+    lat = number(xmp.get("GpsLatitude", xmp.get("Latitude")))
+    return lat, number(xmp.get("GpsLongitude", xmp.get("GpsLongtitude", xmp.get("Longitude"))))
+
+
+def _exif_place(gps: Mapping[int, object]) -> tuple[float | None, float | None]:
+    lat = _sexagesimal(gps.get(ExifTags.GPS.GPSLatitude), gps.get(ExifTags.GPS.GPSLatitudeRef), "NS")
+    return lat, _sexagesimal(gps.get(ExifTags.GPS.GPSLongitude), gps.get(ExifTags.GPS.GPSLongitudeRef), "EW")
+
+
+def _is_place(lat: float | None, lon: float | None) -> bool:
+    is_on_earth = lat is not None and lon is not None and abs(lat) <= 90.0 and abs(lon) <= 180.0
+    return is_on_earth and (lat, lon) != (0.0, 0.0)
+
+
+def _places_apart_m(gps: Mapping[int, object], xmp: Mapping[str, str]) -> float:
+    (lat, lon), (other_lat, other_lon) = _xmp_place(xmp), _exif_place(gps)
+    if not (_is_place(lat, lon) and _is_place(other_lat, other_lon)):
+        return 0.0
+    assert lat is not None and lon is not None and other_lat is not None and other_lon is not None
+    east_m, north_m, _ = LocalFrame(lat, lon, 0.0).to_enu(other_lat, other_lon, 0.0)
+    return math.hypot(float(east_m), float(north_m))
 
 
 def _side(reference: object, sides: str) -> str:

@@ -24,6 +24,7 @@ FLIR_MARK, FLIR_HEAD = b"FLIR\0\1", 8  # of an APP1 segment: the mark, its numbe
 FFF_MARK, FFF_VERSIONS = b"FFF\0", range(100, 200)  # the version states the byte order as well
 RECORD_BYTES, RAW_RECORD, RAW_HEAD, RAW_MARK = 32, 1, 32, 2
 PNG_MARK = b"\x89PNG"
+SHEARED = 1.25  # times as large a step from row to row as by the right width, at least
 
 
 def radiometric(image: Image.Image) -> tuple[str, Size] | None:
@@ -34,7 +35,7 @@ def radiometric(image: Image.Image) -> tuple[str, Size] | None:
     if (record := _flir_record(image)) is not None:
         return FLIR, _flir_size(record)[0]
     if (counts := _dji_counts(image)) is not None:
-        return DJI, _dji_size(image, len(counts) // 2)
+        return DJI, _dji_size(image, counts)
     return None
 
 
@@ -46,7 +47,7 @@ def counts_of(image: Image.Image) -> Counts | None:
     if (record := _flir_record(image)) is not None:
         return _flir_counts(record)
     if (data := _dji_counts(image)) is not None:
-        width, height = _dji_size(image, len(data) // 2)
+        width, height = _dji_size(image, data)
         return np.frombuffer(data, "<u2").reshape(height, width).astype(np.uint16)
     return None
 
@@ -62,13 +63,22 @@ def _dji_counts(image: Image.Image) -> bytes | None:
     return b"".join(_segments(image, "APP3")) or None
 
 
-def _dji_size(image: Image.Image, pixels: int) -> Size:
-    """The size of so many counts: the picture's, which may have been enlarged by a whole number."""
+def _dji_size(image: Image.Image, data: bytes) -> Size:
+    """The size of counts: the picture's, which may have been enlarged by a whole number."""
+    pixels = len(data) // 2
     enlarged = math.isqrt(image.width * image.height // max(pixels, 1))
-    size_px = image.width // max(enlarged, 1), image.height // max(enlarged, 1)
-    if enlarged < 1 or size_px[0] * size_px[1] != pixels:
+    width, height = image.width // max(enlarged, 1), image.height // max(enlarged, 1)
+    if enlarged < 1 or width * height != pixels:
         raise ValueError(f"its {pixels} thermal counts are no picture of {image.width} x {image.height}")
-    return size_px
+    counts = np.frombuffer(data, "<u2", pixels).astype(np.int32)
+    if _step_down(counts, width) > SHEARED * _step_down(counts, height):
+        raise ValueError(f"its thermal counts are {height} x {width}: the picture was turned, and they were not")
+    return width, height
+
+
+def _step_down(counts: NDArray[np.int32], width: int) -> float:
+    """The mean step from a pixel to the one below it in rows so wide: by another width they have nothing in common."""
+    return float(np.abs(counts[width:] - counts[:-width]).mean())
 
 
 def _flir_record(image: Image.Image) -> bytes | None:

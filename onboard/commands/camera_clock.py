@@ -5,6 +5,7 @@ known. Nothing ties such a clock to UTC unless it is stated.
 from __future__ import annotations
 
 import bisect
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -72,9 +73,25 @@ def clock_of(
     if isinstance(found, Unknown):
         if found.advice:
             raise InputError(f"clock: {found.reason}. {found.advice}")
+        if others := _of_another_flight(moments_ns, end_ns - begin_ns):
+            raise InputError(f"clock: {others}")
         hint = LOCAL_ADVICE if log.utc_sigma_s is None else ADVICE
         raise InputError(f"clock: {found.reason}: by how much the camera's is off is not known. {hint}{advice}")
     return found
+
+
+def _of_another_flight(moments_ns: Sequence[int], log_ns: int) -> str:
+    """Words for pictures that are farther from the others than the log is long; empty where there are none."""
+    ordered = sorted(moments_ns)
+    gaps_ns = [after - before for before, after in itertools.pairwise(ordered)]
+    widest = max(range(len(gaps_ns)), key=lambda k: gaps_ns[k], default=-1)
+    if widest < 0 or gaps_ns[widest] <= log_ns:
+        return ""
+    before = widest + 1
+    return (
+        f"{before} of {len(ordered)} pictures were taken {gaps_ns[widest] / 3.6e12:.1f} h before the others, and the "
+        f"log is {log_ns / 6e10:.0f} min long: they are not of one flight. Import the pictures of each by themselves"
+    )
 
 
 def evidence_of(

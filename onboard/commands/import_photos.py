@@ -236,6 +236,7 @@ def _placed_at(photo: PhotoMetadata, place: GeoPlace) -> PhotoMetadata:
         sigma_horizontal_m=place.sigma_horizontal_m,
         sigma_vertical_m=place.sigma_vertical_m,
         place_lacks_side=False,
+        places_apart_m=0.0,
     )
 
 

@@ -17,13 +17,14 @@ from onboard.telemetry.row_events import SIGMA_GEOID_M, SIGMA_PRESSURE_HEIGHT_M
 from onboard.telemetry.telemetry_log import MAX_GAP_S, TelemetryLog, quaternion, vouched
 
 SIGMA_AMSL_M = 20.0  # a receiver's height counts from an unnamed geoid
+MOST_APART_M = 10.0  # of two places that a photograph states: of one receiver, one of them corrected afterwards
 STEP_S = 0.1  # in what is asked for, so that it reads well
 
 
 def photo_telemetry(photos: list[PhotoMetadata], stamps_ns: list[int], undulation_m: float | None) -> TelemetryLog:
     """The telemetry of photographs in order of capture; `undulation_m` brings ellipsoidal heights to sea level.
 
-    Raises InputError, one line, if a photograph has no position.
+    Raises InputError, one line, if a photograph has no position, or two.
     """
     without = [photo.name for photo in photos if photo.lat_deg is None or photo.height_amsl_m is None]
     if without:
@@ -33,6 +34,7 @@ def photo_telemetry(photos: list[PhotoMetadata], stamps_ns: list[int], undulatio
             f"telemetry exif: no GPS position with a height in {without[0]}{side}{more}; "
             f"give a log of the flight instead ({', '.join(SUFFIXES)})"
         )
+    _check_places(photos)
     is_timed = not any(photo.stamp_is_whole_s for photo in photos)
     pairs = list(zip(photos, stamps_ns, strict=True))
     positions = [_position(photo, stamp_ns, is_timed, undulation_m) for photo, stamp_ns in pairs]
@@ -43,6 +45,17 @@ def photo_telemetry(photos: list[PhotoMetadata], stamps_ns: list[int], undulatio
         if photo.gimbal_deg is not None:
             events.append(GimbalAttitude(stamp_ns, quaternion(photo.gimbal_deg), "earth", is_of_camera=True))
     return replace(TelemetryLog.by_stamp(events), notes=_height_notes(photos, undulation_m))
+
+
+def _check_places(photos: list[PhotoMetadata]) -> None:
+    """Raise InputError where a photograph states two places: an editor has changed one, and nobody can tell which."""
+    odd = max(photos, key=lambda photo: photo.places_apart_m)
+    if odd.places_apart_m > MOST_APART_M:
+        raise InputError(
+            f"photograph {odd.name} states two places {odd.places_apart_m:.0f} m apart, in its EXIF and in its XMP: "
+            "one was changed afterwards; give pictures as they were taken, their places in a geo.txt, or a log of the "
+            f"flight ({', '.join(SUFFIXES)})"
+        )
 
 
 def side_lacking(photo: PhotoMetadata) -> str:

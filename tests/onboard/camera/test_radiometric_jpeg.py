@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from PIL import Image
+from PIL import ExifTags, Image
 
 from contract.camera import Camera
 from contract.errors import InputError
 from onboard.camera.photo_metadata import read_photo
 from onboard.camera.picture_files import open_frames, read_colour, read_grey
 from onboard.camera.radiometric_jpeg import DJI, FLIR, Counts, counts_of, radiometric
-from tests.onboard.radiometric_pictures import Segment, dji_segments, flir_segments, write_radiometric
+from tests.onboard.photographs import XMP
+from tests.onboard.radiometric_pictures import (
+    Segment,
+    dji_segments,
+    flir_segments,
+    shown,
+    with_segments,
+    write_radiometric,
+)
 
 WIDTH, HEIGHT = 240, 192
 FORMS = ("png, bytes swapped", "png", "plain", "plain, least byte first")
@@ -63,6 +72,30 @@ def test_other_pictures_have_none(tmp_path: Path) -> None:
     assert read(path) == (None, None)
     write_radiometric(path, counts, [], "DJI")
     assert read(path) == (None, None) and read_photo(path).counts == ""
+
+
+def test_a_picture_that_was_turned_is_refused_for_its_counts_were_not(tmp_path: Path) -> None:
+    """In rows of the wrong width they were clicked 24 m off, by ellipses of 7 m."""
+    counts, path, jpeg = ground(), tmp_path / "DJI_0001_T.JPG", io.BytesIO()
+    exif = Image.Exif()
+    exif[ExifTags.Base.Make] = "DJI"
+    picture = Image.fromarray(shown(counts)).transpose(Image.Transpose.ROTATE_90)
+    picture.save(jpeg, "JPEG", exif=exif)
+    path.write_bytes(with_segments(jpeg.getvalue(), dji_segments(counts)))
+    with pytest.raises(InputError, match=f"counts are {WIDTH} x {HEIGHT}: the picture was turned"):
+        read_photo(path)
+
+
+def test_a_lens_in_pixels_is_of_the_picture_for_people_where_nothing_else_is_stated(tmp_path: Path) -> None:
+    counts, path = ground(), tmp_path / "DJI_0001_T.JPG"
+    write_radiometric(path, counts, dji_segments(counts), "DJI", 2)
+    with Image.open(path) as image:
+        words = XMP.format(attributes=f'drone-dji:CalibratedFocalLength="{2 * WIDTH}"').encode()
+        exif, jpeg = image.getexif(), io.BytesIO()
+        image.convert("RGB").save(jpeg, "JPEG", exif=exif, xmp=words)
+    path.write_bytes(with_segments(jpeg.getvalue(), dji_segments(counts)))
+    focal = read_photo(path).focal
+    assert focal is not None and focal.fx_px == pytest.approx(WIDTH)
 
 
 def without(segments: list[Segment], number: int) -> list[Segment]:

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -18,7 +19,7 @@ from ground.formats import table
 from ground.recording import Recording
 from onboard.__main__ import main
 from onboard.camera.photo_metadata import read_photo
-from onboard.commands.camera_clock import against_log
+from onboard.commands.camera_clock import against_log, clock_of
 from onboard.config.files import load_config_files
 from onboard.config.schema import parse_config
 from onboard.events.types import Attitude, GimbalAttitude, PositionFix
@@ -26,6 +27,7 @@ from onboard.foreign_clock.clock_search import Stated
 from onboard.replay.photo_telemetry import photo_telemetry
 from onboard.replay.runner import Flight
 from onboard.telemetry.telemetry_log import TelemetryLog
+from onboard.telemetry.tlog_reader import read_tlog
 from simulation.flight import DescribedSpec
 from simulation.paths import PathSpec
 from simulation.session import SessionSpec
@@ -347,6 +349,19 @@ def test_a_clock_that_nothing_ties_is_refused_by_that_name_until_it_is_stated(
     )
 
 
+def test_pictures_of_two_days_beside_the_log_of_one_are_refused_as_such(session: Path) -> None:
+    """It asked for the clock, which was right."""
+    log = read_tlog(session / "telemetry.tlog")
+    begin_ns, end_ns = log.span_ns
+    taken_ns = [round(ns) for ns in np.linspace(begin_ns + 2e9, end_ns - 2e9, 16)]
+    of_two = [ns - 86_400_000_000_000 * (k < 7) for k, ns in enumerate(taken_ns)]
+    config = parse_config("[mount]\npitch_deg = -90.0")
+    with pytest.raises(InputError, match=r"7 of 16 pictures were taken 24\.0 h before the others, and the log"):
+        clock_of(log, config, CAMERA, of_two, 0.03, lambda _: None, None)
+    with pytest.raises(InputError, match="by how much the camera's is off"):
+        clock_of(log, config, CAMERA, taken_ns, 0.03, lambda _: None, None)
+
+
 def test_positions_by_name_go_before_the_photographs_own(
     session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -474,6 +489,25 @@ def test_a_place_without_letters_is_no_place(shared_data: Path, tmp_path: Path) 
         photo_telemetry([read], [0], None)
     one = read_photo(photo(tmp_path, GPSLatitudeRef="S", GPSLatitude=(43.0, 22.0, 48.0), GPSLongitude=(7.0, 30.0, 0.0)))
     assert (one.lat_deg, one.lon_deg) == (None, None) and one.place_lacks_side
+
+
+def test_a_photograph_that_states_two_places_is_refused_until_they_are_stated_otherwise(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One of both was edited: clicks were 299 m off, by ellipses of 4 m."""
+    write_photographs(session, tmp_path / "photos", Style())
+    name = "DJI_0009.JPG"
+    path = tmp_path / "photos" / name
+    with Image.open(path) as image:
+        exif, xmp = image.getexif(), image.info["xmp"].decode()
+        lat_deg = float(re.search(r'GpsLatitude="([^"]+)"', xmp)[1])
+        xmp = re.sub(r'GpsLatitude="[^"]+"', f'GpsLatitude="{lat_deg + 300.0 / 111111.0:+.9f}"', xmp)
+        image.save(path, "JPEG", exif=exif, xmp=xmp.encode())
+    command = ["import-photos", str(tmp_path / "photos"), "--out", str(tmp_path / "flight")]
+    assert main(command) == 2
+    assert f"photograph {name} states two places 300 m apart" in capsys.readouterr().err
+    shutil.copyfile(session / "telemetry.tlog", tmp_path / "photos" / "flight.tlog")
+    assert main([*command, "--telemetry", str(tmp_path / "photos" / "flight.tlog"), "--clock-offset", "0"]) == 0
 
 
 def test_photographs_without_letters_are_where_the_log_has_them_or_refused(
