@@ -18,6 +18,7 @@ import zenoh
 
 from contract.errors import LinkError, WireError
 from contract.feature_set import FeatureSet
+from contract.geodesy import LocalFrame
 from contract.link_config import Tls
 from contract.mavlink_camera.clicks import CameraClicks
 from contract.mavlink_camera.component import MavlinkCamera
@@ -31,6 +32,8 @@ from ground.mavlink_link import CHUNK, LOOK_S, opened_wire
 
 FOLLOW_S = 1.5  # for the aircraft's answer whether it follows
 SILENT = "the aircraft does not answer whether it follows: may this certificate?"
+# An autopilot this far from where the sets have the aircraft, more than it flies in so long, is another aircraft's.
+NEAR_M, LATE_S = 150.0, 5.0
 CLOCK_SIGMA_S = AGREED_S / math.sqrt(3.0)  # of an aircraft's clock that counts as known: it may be off by AGREED_S
 
 
@@ -42,6 +45,16 @@ class Unlimited:
 
     def take(self, cost: float, now_s: float) -> None:
         """Take what there is without end."""
+
+
+@dataclass(frozen=True)
+class _Heard:
+    """The autopilot's own position, its speed over the ground, and when it came."""
+
+    lat_deg: float
+    lon_deg: float
+    speed_m_s: float
+    since_s: float
 
 
 @dataclass(frozen=True)
@@ -79,6 +92,7 @@ class GroundCamera:
         self._mav.robust_parsing = True
         self._wire.mav = self._mav
         self._camera: MavlinkCamera | None = None
+        self._heard: _Heard | None = None
         self.clicks = CameraClicks(vehicle, options.delay_s, math.hypot(options.sigma_delay_s, CLOCK_SIGMA_S))
         self.clicks.follow, self.clicks.stamped_ago_s = self._follow, self._stamped_ago_s
         self._link = endpoint, tls
@@ -110,6 +124,11 @@ class GroundCamera:
             )
         if self._camera is None:
             return f"system {system}: no set of {self._vehicle!r} yet{self._colon(self._cache.link_error)}"
+        if away_m := self._elsewhere_m():
+            return (
+                f"system {system} is {away_m:.0f} m from where {self._vehicle!r} is: it is another aircraft's, and no "
+                "click is answered; choose with --system or --vehicle"
+            )
         contested = self._camera.complaint(time.monotonic_ns())
         doubt = "" if self._cache.is_certain(self._vehicle) else self._cache.doubt(self._vehicle)
         what = f"system {system}, component {self._options.component} answers for {self._vehicle!r}"
@@ -131,7 +150,10 @@ class GroundCamera:
             if message.get_type() == "HEARTBEAT" and message.autopilot != self._dialect.MAV_AUTOPILOT_INVALID:
                 self._systems.add(message.get_srcSystem())
         system, camera = self._its_system(), self._made_camera()
-        if system is None or camera is None:
+        for message in messages:
+            if message.get_type() == "GLOBAL_POSITION_INT" and message.get_srcSystem() == system:
+                self._take_place(message)
+        if system is None or camera is None or self._elsewhere_m():
             return
         for message in messages:
             camera.receive(message, system, time.monotonic_ns(), self._aircraft_now_ns())
@@ -141,6 +163,23 @@ class GroundCamera:
             self._mav.seq = (self._mav.seq + 1) % 256
             with contextlib.suppress(OSError):  # no one listens there now
                 self._wire.write(bytes(packet))
+
+    def _take_place(self, message: Any) -> None:
+        if message.lat or message.lon:  # else it has none yet
+            speed_m_s = math.hypot(message.vx, message.vy) / 100.0
+            self._heard = _Heard(message.lat * 1e-7, message.lon * 1e-7, speed_m_s, time.monotonic())
+
+    def _elsewhere_m(self) -> float:
+        """How far the autopilot is from where the sets have the aircraft, if that cannot be the same one; else 0."""
+        heard, newest = self._heard, self._cache.newest(self._vehicle)
+        age_s = None if newest is None else self._cache.age_of(newest)
+        if heard is None or newest is None or age_s is None or not newest.is_ok:
+            return 0.0
+        place = LocalFrame(newest.camera_lat_deg, newest.camera_lon_deg, newest.camera_height_m)
+        east_m, north_m, _ = place.to_enu(heard.lat_deg, heard.lon_deg, newest.camera_height_m)
+        apart_m = math.hypot(float(east_m), float(north_m))
+        since_s = age_s + time.monotonic() - heard.since_s + LATE_S
+        return apart_m if apart_m > NEAR_M + heard.speed_m_s * since_s else 0.0
 
     def _its_system(self) -> int | None:
         if self._options.system is not None:

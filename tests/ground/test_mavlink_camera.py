@@ -109,6 +109,26 @@ def test_a_click_at_a_laptop_is_answered_from_the_sets_of_its_link_and_followed_
     assert aircraft.asked[0].startswith("u=")
 
 
+def test_another_aircraft_s_autopilot_gets_no_camera_and_is_named(aircraft: Aircraft) -> None:
+    """Clicks in its video were answered by the sets of the one that was named, wherever that flew."""
+    port = free_udp_port()
+    client = StandardClient(port)
+    with GroundCamera(MavlinkEndpoint.parse(f"udpin:127.0.0.1:{port}"), aircraft.endpoint, "uav-1") as camera:
+
+        def answers_at(east_m: float) -> bool:
+            flown_m = SPEED_M_S * (time.time() - aircraft.began_s)
+            lat, lon, _ = PLACE.to_geodetic([flown_m + east_m, 0.0, 60.0])
+            client.send_position(float(lat), float(lon), SPEED_M_S)
+            camera.look()
+            return "answers for 'uav-1'" in camera.state
+
+        assert eventually(lambda: answers_at(0.0))
+        assert eventually(lambda: not answers_at(700.0))
+        assert "m from where 'uav-1' is: it is another aircraft's" in camera.state
+        assert eventually(lambda: answers_at(0.0))
+    client.close()
+
+
 def test_without_an_autopilot_or_sets_it_states_what_is_missing() -> None:
     wire = MavlinkEndpoint.parse(f"udpout:127.0.0.1:{free_udp_port()}")
     with GroundCamera(wire, free_endpoint(), "uav-1") as camera:

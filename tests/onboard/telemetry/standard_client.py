@@ -55,6 +55,13 @@ class StandardClient:
             return
         self.got += [(m.get_srcComponent(), m) for m in self._parser.parse_buffer(data) or []]
 
+    def send_position(self, lat_deg: float, lon_deg: float, speed_m_s: float) -> None:
+        """The autopilot's own position, on its way to the east, and what `look` sends."""
+        self.look()
+        degrees = round(lat_deg * 1e7), round(lon_deg * 1e7)
+        position = standard.MAVLink_global_position_int_message
+        self._send(position(0, *degrees, 160_000, 60_000, 0, round(100.0 * speed_m_s), 0, 9000).pack(self._autopilot))
+
     def _send(self, packet: bytes) -> None:
         if self._peer is not None:
             self._socket.sendto(packet, self._peer)
