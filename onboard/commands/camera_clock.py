@@ -90,7 +90,7 @@ def _of_another_flight(moments_ns: Sequence[int], log_ns: int) -> str:
     before = widest + 1
     return (
         f"{before} of {len(ordered)} pictures were taken {gaps_ns[widest] / 3.6e12:.1f} h before the others, and the "
-        f"log is {log_ns / 6e10:.0f} min long: they are not of one flight. Import the pictures of each by themselves"
+        f"log is {log_ns / 6e10:.0f} min long: they are of another flight, or the clock was set. Import each alone"
     )
 
 
