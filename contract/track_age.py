@@ -50,14 +50,19 @@ def as_of(report: TrackReport, age_s: float, silent_s: float, why: Unseen) -> Tr
     return replace(aged, place=_moved(report.place, report.course, report.unseen_s, age_s))
 
 
+def manner_m_s2(speed_m_s: float) -> float:
+    """One sigma of the acceleration, either way, with which a thing of that speed speeds up, brakes and turns."""
+    return ACCELERATION_M_S2 + TURN_RAD_S * speed_m_s
+
+
 def unforeseen_m2(speed_m_s: float, since_s: float) -> float:
     """Variance, either way, of where a thing of that speed is `since_s` after it was seen, for all that it may do."""
-    return 0.25 * (ACCELERATION_M_S2 + TURN_RAD_S * speed_m_s) ** 2 * since_s**4
+    return 0.25 * manner_m_s2(speed_m_s) ** 2 * since_s**4
 
 
 def unforeseen_m2_s2(speed_m_s: float, since_s: float) -> float:
     """Variance, either way, of the velocity of a thing of that speed `since_s` after it was seen, likewise."""
-    return ((ACCELERATION_M_S2 + TURN_RAD_S * speed_m_s) * since_s) ** 2
+    return (manner_m_s2(speed_m_s) * since_s) ** 2
 
 
 def coasting(course: Course | None, unseen_s: float, until_s: float) -> Course | None:

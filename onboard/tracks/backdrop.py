@@ -295,7 +295,8 @@ def _fit(image: Image, layers: Image, known: Mask | None) -> tuple[Array, Array,
 
 def _medians(values: Image, blank: Mask | None) -> Array:
     """The median of each row, without what is blank."""
-    if blank is None:
-        return np.asarray(np.median(values, axis=1), float)
+    if blank is None:  # a third of what NumPy's own takes of so few
+        half = (values.shape[1] - 1) // 2, values.shape[1] // 2
+        return np.asarray(np.partition(values, half, axis=1)[:, half].mean(axis=1), float)
     none = np.asarray(blank.all(axis=1))
     return np.where(none, 0.0, np.nanmedian(np.where(blank & ~none[:, None], np.nan, values), axis=1))

@@ -69,9 +69,10 @@ class Track:
         self.state = TrackState.LOST
 
     def motion(self) -> Motion | None:
-        """Return its velocity; None before anything is known of it."""
+        """Return its velocity at the newest picture; None before anything is known of it."""
         is_known = self._filtered_ns - self._first_ns >= FIRST_SPEED_S * 1e9
-        return None if self._filter is None or not is_known else self._filter.motion
+        since_s = (self._seen.stamp_ns - self._filtered_ns) * 1e-9
+        return None if self._filter is None or not is_known else self._filter.motion(since_s)
 
     def report(self, session: int, vehicle: str) -> TrackReport:
         """Return its report as of the newest picture: a lost thing has neither place nor speed."""
@@ -135,7 +136,7 @@ class Track:
                 self._filter.stretched(stretch[:2, :2], since_s)
 
     def _place(self, motion: Motion | None) -> Place | None:
-        """(24.18): the newest picture's place, and on by its velocity since."""
+        """(24.18): the newest picture's place, and on as it moves since."""
         if self._placed is None:
             return None
         locator, uv, own, at_ns = self._placed
@@ -148,10 +149,10 @@ class Track:
         if dt > 0.0:
             if self._filter is None:
                 return None
+            moved, ahead = self._filter.ahead(dt)
             if motion is not None and motion.is_moving:
-                moved = np.array([*(motion.velocity_m_s * dt), 0.0])
-                lat, lon, _ = (float(c) for c in LocalFrame(lat, lon, 0.0).to_geodetic(moved))
-            covariance = covariance + self._filter.ahead(dt)
+                lat, lon, _ = (float(c) for c in LocalFrame(lat, lon, 0.0).to_geodetic([*moved, 0.0]))
+            covariance = covariance + ahead
             if self.state is not TrackState.FOLLOWED:
                 speed = 0.0 if motion is None else motion.speed_m_s
                 covariance = covariance + unforeseen_m2(speed, self.follower.unseen_s(self._seen)) * np.eye(2)

@@ -26,8 +26,35 @@ def run(
     circles: bool = False,
     noise_m: tuple[float, float] = (NOISE_M, NOISE_M),
     drift_m: float = 0.0,
+    turn_rad_s: float = 0.0,
+    manner_m_s2: float = 0.0,
 ) -> tuple[Motion, np.ndarray]:
-    """The filter's motion after so long, and the true velocity then. The camera flies over it at FLIGHT_M_S east.
+    """The filter's motion after so long, and the true velocity then; see `run_filter`."""
+    found, v = run_filter(
+        rng, velocity, seconds, density=density, height_m=height_m, declared=declared, lost_at_s=lost_at_s,
+        circles=circles, noise_m=noise_m, drift_m=drift_m, turn_rad_s=turn_rad_s,
+        manner_m_s2=manner_m_s2,
+    )  # fmt: skip
+    return found.motion(), v
+
+
+def run_filter(
+    rng: np.random.Generator,
+    velocity: np.ndarray,
+    seconds: float,
+    *,
+    density: float = 0.0,
+    height_m: float = 0.0,
+    declared: float = 1.0,
+    lost_at_s: tuple[float, ...] = (),
+    circles: bool = False,
+    noise_m: tuple[float, float] = (NOISE_M, NOISE_M),
+    drift_m: float = 0.0,
+    turn_rad_s: float = 0.0,
+    manner_m_s2: float = 0.0,
+    dt: float = DT,
+) -> tuple[PlaneFilter, np.ndarray]:
+    """The filter after so long, and the true velocity then. The camera flies over it at FLIGHT_M_S east.
 
     `declared`: the sigma that the filter is given over the usual one; `lost_at_s`: when the landmark is lost;
     `noise_m`, east and north, and `drift_m`, over the root of a second: how what is followed deviates from the thing.
@@ -35,36 +62,49 @@ def run(
     slant = np.array([0.0, ORBIT_SLANT] if circles else [-0.3, 0.1])
     noise = (declared * NOISE_M) ** 2 * np.eye(2)
     place, v = np.zeros(2), velocity.copy()
+    held = manner_m_s2 * rng.standard_normal(2) if manner_m_s2 > 0.0 else np.zeros(2)
     found = PlaneFilter(slant, noise)
     drift = np.zeros(2)
     landmark = place + height_m * slant + noise_m * rng.standard_normal(2)
-    for k in range(1, round(seconds / DT) + 1):
-        v = v + np.sqrt(density * DT) * rng.standard_normal(2)
-        place = place + v * DT
+    for k in range(1, round(seconds / dt) + 1):
+        v = turned_by(turn_rad_s * dt) @ v + np.sqrt(density * dt) * rng.standard_normal(2) + held * dt
+        if manner_m_s2 > 0.0:
+            kept = np.exp(-0.5 * dt)
+            held = kept * held + manner_m_s2 * np.sqrt(1.0 - kept**2) * rng.standard_normal(2)
+        place = place + v * dt
         if circles:
-            turned = FLIGHT_M_S / (ORBIT_SLANT * HEIGHT_M) * k * DT
+            turned = FLIGHT_M_S / (ORBIT_SLANT * HEIGHT_M) * k * dt
             slant = ORBIT_SLANT * np.array([-np.sin(turned), np.cos(turned)])
         else:
-            slant = slant + np.array([-FLIGHT_M_S / HEIGHT_M * DT, 0.0])
-        drift = drift + drift_m * np.sqrt(DT) * rng.standard_normal(2)
+            slant = slant + np.array([-FLIGHT_M_S / HEIGHT_M * dt, 0.0])
+        drift = drift + drift_m * np.sqrt(dt) * rng.standard_normal(2)
         seen = place + drift + height_m * slant + noise_m * rng.standard_normal(2)
-        found.predict(DT, 0.1)
-        if any(abs(k * DT - at_s) < 0.5 * DT for at_s in lost_at_s):
+        found.predict(dt, 0.1)
+        if any(abs(k * dt - at_s) < 0.5 * dt for at_s in lost_at_s):
             found.forget_place(slant, noise)
         else:
-            assert found.update(seen - landmark, slant, noise, DT)
+            assert found.update(seen - landmark, slant, noise, dt)
         landmark = seen
-    return found.motion, v
+    return found, v
 
 
-@pytest.mark.parametrize(("speed", "density"), rest_long([(1.4, 0.02), (15.0, 1.0), (0.0, 0.02)]))
-def test_errors_of_the_velocity_are_what_its_covariance_says(speed: float, density: float) -> None:
+def turned_by(angle_rad: float) -> np.ndarray:
+    """The rotation (2, 2), anticlockwise."""
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    return np.array([[c, -s], [s, c]])
+
+
+@pytest.mark.parametrize(
+    ("speed", "density", "manner_m_s2"), rest_long([(1.4, 0.02, 0.0), (15.0, 0.05, 1.5), (0.0, 0.02, 0.0)])
+)
+def test_errors_of_the_velocity_are_what_its_covariance_says(speed: float, density: float, manner_m_s2: float) -> None:
+    """Of a car that brakes and turns, of which each lasts for some 2 s, and of walkers."""
     inside, squared = 0, []
     for seed in range(120):
         rng = np.random.default_rng([seed, 1])
-        motion, true = run(
-            rng, np.array([speed, 0.0]), 6.0, density=density, height_m=0.8 * float(rng.standard_normal())
-        )
+        height_m = 0.8 * float(rng.standard_normal())
+        velocity = np.array([speed, 0.0])
+        motion, true = run(rng, velocity, 6.0, density=density, height_m=height_m, manner_m_s2=manner_m_s2)
         off = motion.velocity_m_s - true
         squared.append(float(off @ np.linalg.solve(motion.cov, off)))
         inside += squared[-1] < 4.605  # 90 %
@@ -84,7 +124,8 @@ def test_a_measurement_that_is_better_than_declared_gives_a_speed_that_is(declar
         off = motion.velocity_m_s - true
         squared.append(float(off @ np.linalg.solve(motion.cov, off)))
         sigmas.append(motion.sigma_speed_m_s)
-    assert 0.84 <= np.mean(np.array(squared) < 4.605) <= 1.0
+    # Of 60 runs; of 160 others 89 % are inside.
+    assert 0.8 <= np.mean(np.array(squared) < 4.605) <= 1.0
     assert 0.8 < float(np.mean(squared)) < 3.2
     assert float(np.median(sigmas)) < 1.4 * float(
         np.median(
@@ -156,14 +197,32 @@ def test_a_covariance_stays_one_when_the_ground_that_ways_count_from_is_lost(see
         if k % 7 == 0:
             found.forget_place(slant, noise)
         assert (np.linalg.eigvalsh(found._P) > -1e-9).all()
-    assert np.isfinite(found.motion.cov).all()
+    assert np.isfinite(found.motion().cov).all()
 
 
 def test_a_walker_is_known_sharply_after_ten_seconds_and_a_car_in_a_bend_is_not_smoothed_away() -> None:
     motion, _ = run(np.random.default_rng(1), np.array([1.0, 1.0]))
     assert motion.is_moving and motion.sigma_speed_m_s < 0.2 and motion.sigma_course_deg < 10.0
-    wild, true = run(np.random.default_rng(2), np.array([10.0, 0.0]), density=20.0)
-    assert np.hypot(*(wild.velocity_m_s - true)) < 4.0 and wild.sigma_speed_m_s > 1.5 * motion.sigma_speed_m_s
+    in_bend, true = run(np.random.default_rng(2), np.array([5.0, 0.0]), turn_rad_s=0.5)
+    assert np.hypot(*(in_bend.velocity_m_s - true)) < 0.4 and in_bend.sigma_speed_m_s > 1.5 * motion.sigma_speed_m_s
+
+
+@pytest.mark.parametrize("rate_hz", [10.0, 30.0])
+def test_the_velocity_of_what_turns_does_not_lag_and_goes_on_turning_while_it_is_not_seen(rate_hz: float) -> None:
+    """Before, acceleration was white: at 30 Hz the velocity was 0.28 m/s late, and after 1 s without a look 2.7 off."""
+    late, ahead, squared = [], [], []
+    for seed in range(20):
+        found, true = run_filter(
+            np.random.default_rng([seed, 12]), np.array([5.0, 0.0]), 6.0, turn_rad_s=0.5, dt=1.0 / rate_hz
+        )
+        inward = np.array([-true[1], true[0]]) / 5.0
+        off = found.motion().velocity_m_s - true
+        late.append(float(off @ inward))
+        ahead.append(float(np.hypot(*(found.motion(1.0).velocity_m_s - turned_by(0.5) @ true))))
+        squared.append(float(off @ np.linalg.solve(found.motion().cov, off)))
+    assert abs(np.mean(late)) < 0.15
+    assert np.mean(ahead) < 1.8
+    assert 0.3 < np.mean(squared) < 3.0
 
 
 def test_a_thing_at_rest_is_called_moving_once_in_a_hundred_or_less() -> None:
@@ -185,9 +244,9 @@ def test_what_all_poses_share_is_added_to_a_speed_and_never_averaged() -> None:
         found.update(way - before, np.zeros(2), NOISE_M**2 * np.eye(2), DT)
         before = way
         found.stretched(0.05**2 * np.outer(way, way), k * DT)  # lengths are off by 5 %
-        sigmas.append(found.motion.sigma_speed_m_s)
+        sigmas.append(found.motion().sigma_speed_m_s)
     assert sigmas[-1] > 0.1 and sigmas[10] > 1.2 * sigmas[-1]
-    assert found.motion.sigma_speed_m_s == pytest.approx(0.1, rel=0.4)
+    assert found.motion().sigma_speed_m_s == pytest.approx(0.1, rel=0.4)
 
 
 def test_the_height_of_a_thing_is_no_speed_when_the_camera_passes_over_it() -> None:
@@ -203,7 +262,7 @@ def test_one_measurement_that_cannot_be_is_left_out_and_several_are_accepted() -
         found.update(np.array([1.0 * DT, 0.0]), np.zeros(2), 1e-4 * np.eye(2), DT)
     found.predict(DT, 0.1)
     assert not found.update(np.array([60.0, 60.0]), np.zeros(2), 1e-4 * np.eye(2), DT)
-    assert found.motion.speed_m_s == pytest.approx(1.0, abs=0.1)
+    assert found.motion().speed_m_s == pytest.approx(1.0, abs=0.1)
     taken = []
     for _ in range(4):
         found.predict(DT, 0.1)
@@ -213,5 +272,5 @@ def test_one_measurement_that_cannot_be_is_left_out_and_several_are_accepted() -
 
 def test_what_is_ahead_is_known_worse_the_farther_it_is() -> None:
     found = PlaneFilter(np.zeros(2), 1e-4 * np.eye(2))
-    near, far = (float(np.trace(found.ahead(dt))) for dt in (0.1, 2.0))
+    near, far = (float(np.trace(found.ahead(dt)[1])) for dt in (0.1, 2.0))
     assert 0.0 < near < 0.05 * far
