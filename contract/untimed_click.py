@@ -26,8 +26,8 @@ REACH_SIGMAS = 2.5  # of the moment, within which pictures are asked
 MOST_SETS = 9
 NEAR_S = 0.5  # farther from the moment, or two of its sigmas, no picture stands for it
 MOST_GAP_S = 8.0  # from the moment to a picture that is asked because there are too few others
-# The time over which an aircraft's swinging stays alike: planes of recorded autopilots nod at 0.85 Hz most, which is
-# where this process's spectrum has fallen to a quarter. Sets a second apart cannot show it.
+# The time over which an aircraft's swinging stays correlated: planes of recorded autopilots nod at 0.85 Hz most, where
+# this process's spectrum has fallen to a quarter. Sets a second apart cannot show it.
 SWING_S = 0.3
 ROUNDING = 1e-9  # of a correlation
 MOMENTS, MOMENT_WEIGHTS = np.polynomial.hermite_e.hermegauss(9)  # of a normal error of one sigma
@@ -138,8 +138,8 @@ def _moved(places: Array, late_s: Array, sigma_s: float) -> _Moved:
     if trend < 1:
         return _Moved(places[0], np.zeros((3, 3)), np.zeros((3, 3)))
     line, at = (np.stack([np.ones(len(t)), t], axis=1)[:, :trend] for t in (late_s, moments_s))
-    inverse = np.linalg.inv(_alike(late_s[:, None] - late_s) + ROUNDING * np.eye(count))
-    known = _alike(moments_s[:, None] - late_s)
+    inverse = np.linalg.inv(_correlation(late_s[:, None] - late_s) + ROUNDING * np.eye(count))
+    known = _correlation(moments_s[:, None] - late_s)
     cov_line = np.linalg.inv(line.T @ inverse @ line)
     by_line = cov_line @ line.T @ inverse @ places
     left = places - line @ by_line
@@ -154,7 +154,7 @@ def _moved(places: Array, late_s: Array, sigma_s: float) -> _Moved:
     return _Moved(place_m, (weights[:, None] * apart).T @ apart, between)
 
 
-def _alike(apart_s: Array) -> Array:
+def _correlation(apart_s: Array) -> Array:
     """The correlation of swings some time apart: that of a process whose rate is continuous (Matern, 3/2). (31.2)"""
     share = math.sqrt(3.0) / SWING_S * np.abs(apart_s)
     return np.asarray((1.0 + share) * np.exp(-share), np.float64)

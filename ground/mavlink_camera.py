@@ -48,7 +48,7 @@ class Unlimited:
 
 
 @dataclass(frozen=True)
-class _Heard:
+class _Position:
     """The autopilot's own position, its speed over the ground, and when it came."""
 
     lat_deg: float
@@ -92,7 +92,7 @@ class GroundCamera:
         self._mav.robust_parsing = True
         self._wire.mav = self._mav
         self._camera: MavlinkCamera | None = None
-        self._heard: _Heard | None = None
+        self._own_place: _Position | None = None
         self.clicks = CameraClicks(vehicle, options.delay_s, math.hypot(options.sigma_delay_s, CLOCK_SIGMA_S))
         self.clicks.follow, self.clicks.stamped_ago_s = self._follow, self._stamped_ago_s
         self._link = endpoint, tls
@@ -167,19 +167,19 @@ class GroundCamera:
     def _take_place(self, message: Any) -> None:
         if message.lat or message.lon:  # else it has none yet
             speed_m_s = math.hypot(message.vx, message.vy) / 100.0
-            self._heard = _Heard(message.lat * 1e-7, message.lon * 1e-7, speed_m_s, time.monotonic())
+            self._own_place = _Position(message.lat * 1e-7, message.lon * 1e-7, speed_m_s, time.monotonic())
 
     def _elsewhere_m(self) -> float:
         """How far the autopilot is from where the sets have the aircraft, if that cannot be the same one; else 0."""
-        heard, newest = self._heard, self._cache.newest(self._vehicle)
+        own, newest = self._own_place, self._cache.newest(self._vehicle)
         age_s = None if newest is None else self._cache.age_of(newest)
-        if heard is None or newest is None or age_s is None or not newest.is_ok:
+        if own is None or newest is None or age_s is None or not newest.is_ok:
             return 0.0
         place = LocalFrame(newest.camera_lat_deg, newest.camera_lon_deg, newest.camera_height_m)
-        east_m, north_m, _ = place.to_enu(heard.lat_deg, heard.lon_deg, newest.camera_height_m)
+        east_m, north_m, _ = place.to_enu(own.lat_deg, own.lon_deg, newest.camera_height_m)
         apart_m = math.hypot(float(east_m), float(north_m))
-        since_s = age_s + time.monotonic() - heard.since_s + LATE_S
-        return apart_m if apart_m > NEAR_M + heard.speed_m_s * since_s else 0.0
+        since_s = age_s + time.monotonic() - own.since_s + LATE_S
+        return apart_m if apart_m > NEAR_M + own.speed_m_s * since_s else 0.0
 
     def _its_system(self) -> int | None:
         if self._options.system is not None:

@@ -29,7 +29,7 @@ from ground.dropped_messages import DroppedMessages
 
 T = TypeVar("T")
 
-NEIGHBOURS = 2  # messages before and after one, that tell when it was recorded
+NEIGHBOURS = 2  # messages before and after one, that show when it was recorded
 _Found = tuple[str, str, int, int, int]  # topic, encoding, start, length and log time (ns) of a message
 _FRAMES_BEFORE, _FRAMES_AFTER = names.FRAMES.split("{vehicle}")
 

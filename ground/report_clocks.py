@@ -25,8 +25,8 @@ class ReportClocks:
         self._doubted: dict[str, tuple[int, SpotReport]] = {}
         self.false_stamps = 0
 
-    def believed(self, report: SpotReport, received_unix_ns: int) -> list[SpotReport]:
-        """Note a report that came, and return those that are now to be believed: none if its stamp contradicts those of
+    def accepted(self, report: SpotReport, received_unix_ns: int) -> list[SpotReport]:
+        """Note a report that came, and return those that are accepted now: none if its stamp contradicts those of
         its session, or, of a first one, the ground's clock; of a clock that is wrong the first comes with the second.
         """
         key = _key(report.vehicle, report.session)
@@ -43,6 +43,11 @@ class ReportClocks:
         if len(self._doubted) < MOST_SESSIONS:
             self._doubted[key] = lag, report
         return out
+
+    @property
+    def waiting(self) -> int:
+        """The number of reports that the next one of their session judges."""
+        return len(self._doubted)
 
     def at_unix_ns(self, vehicle: str, session: int, stamp_unix_ns: int, received_unix_ns: int | None = None) -> int:
         """The ground's time at which something was captured, at the latest; of a false stamp, when it came."""

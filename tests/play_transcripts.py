@@ -84,7 +84,9 @@ def furnish_searches(folder: Path) -> None:
     refused = Spot(10.0, 20.0, 9.0, status=Status.NO_GPS)
     with LinkRecorder(folder / "cold") as recorder:
         recorder.take(FEATURES.key("uav-1"), encode(sets[0]))
-        recorder.take(SPOTS.key("uav-1"), encode_spots(SpotReport(1, 1, sets[0].capture_unix_ns, False, (refused,))))
+        for found in (sets[0], sets[1]):  # by a clock that is months off, which one report alone would not show
+            report = SpotReport(1, found.frame, found.capture_unix_ns, False, (refused,))
+            recorder.take(SPOTS.key("uav-1"), encode_spots(report))
 
 
 def furnish_flights(folder: Path) -> None:

@@ -29,7 +29,7 @@ Ring = list[tuple[float, float]]
 HOT_C = 60.0  # above it a calibrated spot burns: no ground that the sun alone has warmed is so hot
 HOT_M2 = 2.0  # without calibration: smaller hot spots are no fire
 MOST_OUTLINES, MOST_CELLS, LEAST_CELL_M = 20_000, 300, 0.1
-CERTAIN = 3.0  # sigmas of an edge, beyond which none of a fire that stands errs
+CERTAIN = 3.0  # sigmas of an edge, that no edge of a fire that stands is off by
 CELLS_OF_AN_ERROR = 6.0  # that the shortest half axis of an ellipse is long at most: finer shows no more
 MOST_PICTURES = 100  # of more pictures so many, evenly: the next one adds little
 SMOOTHED = 4  # cells to either side, over which an outline's steps are averaged
@@ -237,7 +237,7 @@ class _Grid:
     def burned(self, pictures: Sequence[Sequence[_Region]], within_m: float) -> Mask:
         """The cells that were seen burning more often than not from some picture on, or so far inside in any. (26.19)
 
-        `pictures`: regions by the picture, in the order of capture, where they are believed to be.
+        `pictures`: regions by the picture, in the order of capture, where they are estimated to be.
         """
         shape = self.rows, self.columns
         votes, most, certain = np.zeros(shape, np.int16), np.zeros(shape, np.int16), np.zeros(shape, bool)

@@ -48,8 +48,8 @@ class ReceivedSpots(ReportView[SpotReport]):
             for came_ns, report in reports:
                 self._version += 1
                 self._fire.add(report, came_ns)
-                for believed in self._clocks.believed(report, came_ns):
-                    self._merge(believed)
+                for accepted in self._clocks.accepted(report, came_ns):
+                    self._merge(accepted)
                 self._person_found[report.vehicle] = share = report.person_found
                 self._searched.append(replace(report, spots=()))
                 if share is not None:
@@ -77,8 +77,9 @@ class ReceivedSpots(ReportView[SpotReport]):
 
     @property
     def pictures(self) -> int:
+        """The number of pictures that were searched, also of one whose stamp the next report of its session judges."""
         with self._lock:
-            return self._merger.pictures
+            return self._merger.pictures + self._clocks.waiting
 
     def searched(self) -> list[SpotReport]:
         """The reports of the newest MOST_SEARCHED pictures, without their spots."""

@@ -48,7 +48,7 @@ def photo_telemetry(photos: list[PhotoMetadata], stamps_ns: list[int], undulatio
 
 
 def _check_places(photos: list[PhotoMetadata]) -> None:
-    """Raise InputError where a photograph states two places: an editor has changed one, and nobody can tell which."""
+    """Raise InputError where a photograph states two places: an editor has changed one, and nothing shows which."""
     odd = max(photos, key=lambda photo: photo.places_apart_m)
     if odd.places_apart_m > MOST_APART_M:
         raise InputError(

@@ -116,8 +116,8 @@ def test_another_aircraft_s_autopilot_gets_no_camera_and_is_named(aircraft: Airc
     with GroundCamera(MavlinkEndpoint.parse(f"udpin:127.0.0.1:{port}"), aircraft.endpoint, "uav-1") as camera:
 
         def answers_at(east_m: float) -> bool:
-            flown_m = SPEED_M_S * (time.time() - aircraft.began_s)
-            lat, lon, _ = PLACE.to_geodetic([flown_m + east_m, 0.0, 60.0])
+            travelled_m = SPEED_M_S * (time.time() - aircraft.began_s)
+            lat, lon, _ = PLACE.to_geodetic([travelled_m + east_m, 0.0, 60.0])
             client.send_position(float(lat), float(lon), SPEED_M_S)
             camera.look()
             return "answers for 'uav-1'" in camera.state

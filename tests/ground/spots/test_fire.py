@@ -180,7 +180,7 @@ def test_what_burned_out_or_drove_on_was_there() -> None:
 @pytest.mark.parametrize("pictures", [1, 10, 50, 100])
 def test_areas_are_right_in_the_mean_and_their_sigma_holds_nine_of_ten(pictures: int) -> None:
     times_s = np.linspace(0.0, min(2.0 * (pictures - 1), 120.0), pictures)
-    drawn = [
+    rendered = [
         (*erring(100 * seed + pictures, shape, radius_m, rate_m_s, times_s, scale=0.03),)
         for seed in range(6)
         for shape, radius_m, rate_m_s in (
@@ -190,8 +190,8 @@ def test_areas_are_right_in_the_mean_and_their_sigma_holds_nine_of_ten(pictures:
             ("fan", 8.0, 0.3),
         )
     ]
-    ratio = np.array([fire.burned.area_m2 / true_m2 for fire, true_m2 in drawn])
-    off = np.array([(fire.burned.area_m2 - true_m2) / fire.sigma_area_m2 for fire, true_m2 in drawn])
+    ratio = np.array([fire.burned.area_m2 / true_m2 for fire, true_m2 in rendered])
+    off = np.array([(fire.burned.area_m2 - true_m2) / fire.sigma_area_m2 for fire, true_m2 in rendered])
     assert 0.95 < ratio.mean() < 1.05
     assert np.mean(np.abs(off) < 1.645) > 0.75 and 0.3 < np.mean(off**2) < 1.7
 

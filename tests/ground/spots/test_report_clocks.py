@@ -52,7 +52,7 @@ def test_fires_of_vehicles_whose_clocks_differ_are_all_there(off_s: tuple[float,
     fire = received(*off_s).fire(5.0)
     assert fire is not None and fire.pictures == FIRES * len(off_s)
     assert fire.burned.area_m2 > 0.8 * AREA_M2 * len(off_s)
-    assert abs(fire.last_unix_ns - time.time_ns()) < 60e9  # and it is said when, by this clock
+    assert abs(fire.last_unix_ns - time.time_ns()) < 60e9  # and when is stated by this clock
 
 
 @pytest.mark.parametrize("false_at", range(FIRES))
@@ -111,5 +111,5 @@ def test_a_recording_of_an_aircraft_whose_times_are_its_stamps_is_judged_by_its_
 def test_sessions_that_a_peer_invents_are_bounded() -> None:
     clocks = ReportClocks()
     for k in range(3000):
-        clocks.believed(report(f"x-{k}", 0, 0, HOUR_S), 0)
+        clocks.accepted(report(f"x-{k}", 0, 0, HOUR_S), 0)
     assert len(clocks._doubted) <= 1000 and len(list(clocks._lags)) <= 1000

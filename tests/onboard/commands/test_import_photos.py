@@ -349,7 +349,7 @@ def test_a_clock_that_nothing_ties_is_refused_by_that_name_until_it_is_stated(
     )
 
 
-def test_pictures_of_two_days_beside_the_log_of_one_are_refused_as_such(session: Path) -> None:
+def test_pictures_of_two_days_with_the_log_of_one_are_refused_as_such(session: Path) -> None:
     """It asked for the clock, which was right."""
     log = read_tlog(session / "telemetry.tlog")
     begin_ns, end_ns = log.span_ns
