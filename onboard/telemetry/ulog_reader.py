@@ -46,6 +46,7 @@ MAX_GAP_S = 0.3  # over which velocities and rates are interpolated
 FIX = 3
 REPORT_US = 200_000
 METRES_A_DEGREE = 111_320.0
+MOST_UTC_US = 2**63 / 1000  # beyond which nanoseconds have no room in 64 bits: of a damaged log
 
 
 class _Topic:
@@ -103,7 +104,7 @@ def read_ulog(path: Path | str, clock: Mode = "auto", boot_unix_s: float | None 
     gps = topics["vehicle_gps_position"]
     gps = gps if len(gps) else topics["sensor_gps"]
     utc_us = gps.column("time_utc_usec", unknown=0.0)
-    fixed = (utc_us > 0) & (gps.column("fix_type", unknown=0.0) >= FIX)
+    fixed = (utc_us > 0) & (utc_us < MOST_UTC_US) & (gps.column("fix_type", unknown=0.0) >= FIX)
     gps_clock = GpsClock(clock)
     for boot_us, unix_us in zip(gps.boot_us[fixed].tolist(), utc_us[fixed].tolist(), strict=True):
         gps_clock.add(boot_us * 1000, int(unix_us) * 1000)
