@@ -15,12 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.track import Unseen
-from contract.track_age import ACCELERATION_M_S2, LOST_AFTER_S, manner_m_s2
+from contract.track_age import ACCELERATION_M_S2, LOST_AFTER_S, TURN_RAD_S
 from onboard.geometry.plane_homography import move
 from onboard.tracks.backdrop import AGES_S, Change, Patch, cut, difference, earlier, suggested
 from onboard.tracks.ground_steps import Pictures, Seen
 from onboard.tracks.looks import RIM_PX, Look, Wanted, cover_of
-from onboard.tracks.manner import by_axes, pushed, transition
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -109,9 +108,8 @@ class Follower:
         self._last_seen_ns = clicked.stamp_ns
         self._moved_ns = clicked.stamp_ns - (0 if self._is_size_known else round(1e9 * STOOD_S))
         fastest = FASTEST_M_S / 2.0 / self._m_px
-        self._velocity, self._acceleration = np.zeros(2), np.zeros(2)  # against the ground, px/s and px/s^2
-        manner = manner_m_s2(FASTEST_M_S / 2.0) / self._m_px
-        self._cov = np.diag([CLICK_SIGMA_PX**2] * 2 + [fastest**2] * 2 + [manner**2] * 2)
+        self._velocity = np.zeros(2)  # against the ground, px/s
+        self._cov = np.diag([CLICK_SIGMA_PX**2] * 2 + [fastest**2] * 2)
         self._looks: list[Look] = []
         self._spread = USUAL_SPREAD  # of its own grey levels, from picture to picture
         self._middle_share = 0.0  # of its size: one sigma of the middle of what differs, once that was learned
@@ -220,8 +218,8 @@ class Follower:
         if self.unseen_s(self._seen) > AGAIN_S and not self._stands():
             return False
         before_ns = self._seen.stamp_ns - MOST_AGE_S * 1e9
-        off = np.stack([at for _, at in self._been]) - uv
-        return self._been[0][0] <= before_ns and bool((np.hypot(off[:, 0], off[:, 1]) < self._size).all())
+        is_near = [float(np.hypot(*(at - uv))) < self._size for _, at in self._been]
+        return self._been[0][0] <= before_ns and all(is_near)
 
     def _since_it_left(self, seen: Seen, changed: Change, patch: Patch) -> Change | None:
         """What has changed since the last picture in which nothing had changed where it stood, if it is no longer there
@@ -286,21 +284,25 @@ class Follower:
         places = move(H, np.stack([self._rest, self._stood, *(uv for _, uv in been)]))
         self._rest, self._stood = places[:2]
         self._been = [(at_ns, uv) for (at_ns, _), uv in zip(been, places[2:], strict=True)]
-        T = transition(dt)
-        moved, self._velocity, self._acceleration = T @ [np.zeros(2), self._velocity, self._acceleration] @ J.T
-        self._uv = near[0] + moved
-        speed_m_s = self._m_px * float(np.hypot(*self._velocity))
-        F, push = by_axes(T, J), manner_m_s2(speed_m_s) / self._m_px * pushed(dt)
-        self._cov = F @ self._cov @ F.T + by_axes(np.outer(push, push), np.eye(2))
-        self._cov[:2, :2] += CHAIN_PX2 * np.eye(2)
+        self._velocity = J @ self._velocity
+        self._uv = near[0] + self._velocity * dt
+        q = (ACCELERATION_M_S2 / self._m_px + TURN_RAD_S * float(np.hypot(*self._velocity))) ** 2
+        F = np.zeros((4, 4))
+        F[:2, :2] = F[2:, 2:] = J
+        F[:2, 2:] = dt * J
+        self._cov = F @ self._cov @ F.T
+        for i in (0, 1):
+            self._cov[i, i] += q * dt**4 / 4.0 + CHAIN_PX2
+            self._cov[i, i + 2] += q * dt**3 / 2.0
+            self._cov[i + 2, i] += q * dt**3 / 2.0
+            self._cov[i + 2, i + 2] += q * dt**2
         self._looks = [replace(look, turned=J @ look.turned) for look in self._looks]
 
     def _update(self, uv: Array, sigma: float) -> None:
         gain = self._cov[:, :2] @ np.linalg.inv(self._cov[:2, :2] + sigma**2 * np.eye(2))
         change = gain @ (uv - self._uv)
-        self._uv, self._velocity = self._uv + change[:2], self._velocity + change[2:4]
-        self._acceleration = self._acceleration + change[4:]
-        left = np.eye(6) - gain @ np.eye(6)[:2]
+        self._uv, self._velocity = self._uv + change[:2], self._velocity + change[2:]
+        left = np.eye(4) - gain @ np.eye(4)[:2]
         self._cov = left @ self._cov @ left.T + sigma**2 * gain @ gain.T
 
     def _reach(self) -> int:
@@ -517,7 +519,7 @@ class Follower:
 
         So of a small thing: what would turn about it is ground.
         """
-        sigma = float(np.sqrt(0.5 * np.trace(self._cov[2:4, 2:4])))
+        sigma = float(np.sqrt(0.5 * np.trace(self._cov[2:, 2:])))
         is_known = self._size > LARGE_PX and float(np.hypot(*self._velocity)) > COURSE_SIGMAS * sigma
         return self._velocity if is_known else np.zeros(2)
 

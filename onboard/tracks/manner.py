@@ -1,4 +1,4 @@
-"""How a thing speeds up, brakes and turns, and for how long it goes on with it. (24.6)"""
+"""How a thing speeds up, brakes and turns, and for how long it goes on with it. (24.12)"""
 
 from __future__ import annotations
 
