@@ -170,7 +170,7 @@ class GroundCamera:
             self._own_place = _Position(message.lat * 1e-7, message.lon * 1e-7, speed_m_s, time.monotonic())
 
     def _elsewhere_m(self) -> float:
-        """How far the autopilot is from where the sets have the aircraft, if that cannot be the same one; else 0."""
+        """The distance of the autopilot from where the sets have the aircraft, if it cannot be the same one; else 0."""
         own, newest = self._own_place, self._cache.newest(self._vehicle)
         age_s = None if newest is None else self._cache.age_of(newest)
         if own is None or newest is None or age_s is None or not newest.is_ok:

@@ -123,7 +123,7 @@ class FrontFit:
         return _fastest(*self._speeds(known)[:2]) if known else None
 
     def shifts(self) -> tuple[Array, float]:
-        """By how much each picture's outlines (K, 2) are off, m, from where all of them together have the fire, and one
+        """The offsets (K, 2), m, of each picture's outlines from where all of them together have the fire, and one
         sigma of what is left of each part of them. (26.17), (26.18)
         """
         out = np.zeros((len(self._fronts), 2))

@@ -121,7 +121,7 @@ class ReceivedSpots(ReportView[SpotReport]):
             return self._merger.things()
 
     def recent(self, seconds: float) -> list[FoundThing]:
-        """Those that were seen so long before the newest one at most, by the ground's clock."""
+        """The things that were seen so long before the newest one at most, by the ground's clock."""
         with self._lock:
             things = self._merger.things()
             newest = [thing.newest for thing in things]

@@ -107,8 +107,8 @@ _Solution = tuple[list[Row], Array, Array]  # of one round: the views' rows, the
 
 @dataclass(frozen=True, eq=False)
 class _Converged:
-    """Where the steps in one window have ended: depth and slope; the last of them, the depth before it, the views there
-    and the slope's prior.
+    """The end of the steps in one window: depth and slope; the last step, the depth before it, the views there and the
+    slope's prior.
     """
 
     w: float

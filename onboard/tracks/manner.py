@@ -1,4 +1,4 @@
-"""How a thing speeds up, brakes and turns, and for how long it goes on with it. (24.12)"""
+"""The acceleration of things that speed up, brake and turn, and that go on with it for a while. (24.12)"""
 
 from __future__ import annotations
 

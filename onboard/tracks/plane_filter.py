@@ -126,7 +126,7 @@ class PlaneFilter:
         return Motion(*self._in(dt, 1))
 
     def _in(self, dt: float, row: int) -> tuple[Array, Array]:
-        """What a row of the transition, of place or velocity, gives in `dt` seconds. (24.18)"""
+        """Return the mean and covariance of a row of the transition, of place or velocity, in `dt` seconds. (24.18)"""
         T, unsteady = transition(dt)[row], UNSTEADY_S * (dt**3 / 3.0, dt)[row]
         by = np.concatenate([T[1] * np.eye(2), T[2] * np.eye(2)], axis=1)  # of velocity and acceleration
         push = self._manner**2 * (pushed(dt)[row] ** 2 + unsteady)

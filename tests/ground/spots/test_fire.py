@@ -142,7 +142,7 @@ def drifting(seed: int, rate_m_s: float, times_s: Array, errors: float = 1.0, sh
 
 @pytest.mark.parametrize("pictures", [1, 2, 10, 50])
 def test_a_fire_that_stands_is_as_large_as_it_is_in_however_many_pictures(pictures: int) -> None:
-    """All outlines together are 1.2 times as large in 10 pictures, 1.4 times in 50."""
+    """The union of all outlines is 1.2 times as large in 10 pictures, 1.4 times in 50."""
     fire, true_m2 = erring(1, "round", 12.0, 0.0, 2.0 * np.arange(pictures))
     assert fire.burned.area_m2 == pytest.approx(true_m2, rel=0.03)
     assert fire.surely.area_m2 < true_m2 < fire.perhaps.area_m2 and fire.sigma_area_m2 < 0.05 * true_m2

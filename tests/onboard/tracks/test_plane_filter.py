@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -15,26 +17,10 @@ DT = 0.1
 
 
 def run(
-    rng: np.random.Generator,
-    velocity: np.ndarray,
-    seconds: float = 10.0,
-    *,
-    density: float = 0.0,
-    height_m: float = 0.0,
-    declared: float = 1.0,
-    lost_at_s: tuple[float, ...] = (),
-    circles: bool = False,
-    noise_m: tuple[float, float] = (NOISE_M, NOISE_M),
-    drift_m: float = 0.0,
-    turn_rad_s: float = 0.0,
-    manner_m_s2: float = 0.0,
+    rng: np.random.Generator, velocity: np.ndarray, seconds: float = 10.0, **options: Any
 ) -> tuple[Motion, np.ndarray]:
-    """The filter's motion after so long, and the true velocity then; see `run_filter`."""
-    found, v = run_filter(
-        rng, velocity, seconds, density=density, height_m=height_m, declared=declared, lost_at_s=lost_at_s,
-        circles=circles, noise_m=noise_m, drift_m=drift_m, turn_rad_s=turn_rad_s,
-        manner_m_s2=manner_m_s2,
-    )  # fmt: skip
+    """The filter's motion after so long, and the true velocity then; options as of `run_filter`."""
+    found, v = run_filter(rng, velocity, seconds, **options)
     return found.motion(), v
 
 
@@ -98,7 +84,7 @@ def turned_by(angle_rad: float) -> np.ndarray:
     ("speed", "density", "manner_m_s2"), rest_long([(1.4, 0.02, 0.0), (15.0, 0.05, 1.5), (0.0, 0.02, 0.0)])
 )
 def test_errors_of_the_velocity_are_what_its_covariance_says(speed: float, density: float, manner_m_s2: float) -> None:
-    """Of a car that brakes and turns, of which each lasts for some 2 s, and of walkers."""
+    """A car that brakes and turns, for some 2 s each, and walkers."""
     inside, squared = 0, []
     for seed in range(120):
         rng = np.random.default_rng([seed, 1])
