@@ -82,6 +82,12 @@ def within_180(degrees: Angle) -> Angle:
     return (degrees + 180.0) % 360.0 - 180.0
 
 
+def distance_m(one: tuple[float, float], other: tuple[float, float]) -> float:
+    """The horizontal distance of two places (latitude, longitude, degrees), m, within some kilometres."""
+    north_m, east_m = (float(scale) for scale in metres_per_degree(one[0]))
+    return math.hypot((other[0] - one[0]) * north_m, within_180(other[1] - one[1]) * east_m)
+
+
 def level_ground_m(east_m: ArrayLike, north_m: ArrayLike) -> Array:
     """Height of level ground above the plane that touches it at the origin, of places (...) within some kilometres."""
     return -(np.square(east_m) + np.square(north_m)) / (2.0 * EARTH_RADIUS_M)

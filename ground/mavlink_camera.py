@@ -18,7 +18,7 @@ import zenoh
 
 from contract.errors import LinkError, WireError
 from contract.feature_set import FeatureSet
-from contract.geodesy import LocalFrame
+from contract.geodesy import distance_m
 from contract.link_config import Tls
 from contract.mavlink_camera.clicks import CameraClicks
 from contract.mavlink_camera.component import MavlinkCamera
@@ -175,11 +175,9 @@ class GroundCamera:
         age_s = None if newest is None else self._cache.age_of(newest)
         if own is None or newest is None or age_s is None or not newest.is_ok:
             return 0.0
-        place = LocalFrame(newest.camera_lat_deg, newest.camera_lon_deg, newest.camera_height_m)
-        east_m, north_m, _ = place.to_enu(own.lat_deg, own.lon_deg, newest.camera_height_m)
-        apart_m = math.hypot(float(east_m), float(north_m))
+        away_m = distance_m((newest.camera_lat_deg, newest.camera_lon_deg), (own.lat_deg, own.lon_deg))
         since_s = age_s + time.monotonic() - own.since_s + LATE_S
-        return apart_m if apart_m > NEAR_M + own.speed_m_s * since_s else 0.0
+        return away_m if away_m > NEAR_M + own.speed_m_s * since_s else 0.0
 
     def _its_system(self) -> int | None:
         if self._options.system is not None:

@@ -7,11 +7,10 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import sys
 import time
 
-from contract.geodesy import metres_per_degree
+from contract.geodesy import distance_m
 from contract.spot import person_text
 from contract.topics import ANY_VEHICLE, STATUS
 from ground.commands import ANSWERED, REFUSED
@@ -171,9 +170,8 @@ def is_news(thing: FoundThing, before: FoundThing | None) -> bool:
     old, new = before.place, thing.place
     if new.ellipse.semi_major_m < SMALLER * old.ellipse.semi_major_m:
         return True
-    north_m, east_m = metres_per_degree(old.lat_deg)
-    away = math.hypot(float(north_m) * (new.lat_deg - old.lat_deg), float(east_m) * (new.lon_deg - old.lon_deg))
-    return away > ELSEWHERE * max(old.ellipse.semi_major_m, 1.0)
+    away_m = distance_m((old.lat_deg, old.lon_deg), (new.lat_deg, new.lon_deg))
+    return away_m > ELSEWHERE * max(old.ellipse.semi_major_m, 1.0)
 
 
 def _print_thing(thing: FoundThing, args: argparse.Namespace) -> None:

@@ -18,7 +18,7 @@ import numpy as np
 from PIL import ExifTags, Image
 
 from contract.errors import InputError
-from contract.geodesy import LocalFrame
+from contract.geodesy import distance_m
 from contract.rotations import euler_from_matrix, matrix_from_euler
 from onboard.camera.file_stamps import exif_moment
 from onboard.camera.photo_lens import Focal, focal_of, full_size, number
@@ -196,8 +196,7 @@ def _places_apart_m(gps: Mapping[int, object], xmp: Mapping[str, str]) -> float:
     if not (_is_place(lat, lon) and _is_place(other_lat, other_lon)):
         return 0.0
     assert lat is not None and lon is not None and other_lat is not None and other_lon is not None
-    east_m, north_m, _ = LocalFrame(lat, lon, 0.0).to_enu(other_lat, other_lon, 0.0)
-    return math.hypot(float(east_m), float(north_m))
+    return distance_m((lat, lon), (other_lat, other_lon))
 
 
 def _side(reference: object, sides: str) -> str:

@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 from contract.answer import EXPLANATIONS, Fix
 from contract.circular_error import ce90_m, le90_m
 from contract.errors import InputError
-from contract.geodesy import metres_per_degree, within_180
+from contract.geodesy import distance_m
 from contract.locate import Locator
 from contract.look import LATE_S, OFFER_S, AskCircle, AskLook, Circle, ConfirmLook, EndLook, Offer, read_request
 from contract.supervised_thread import SupervisedThread, WokenWork
@@ -173,7 +173,7 @@ class LookThread(WokenWork):
         if not radius_m <= self._limits.max_radius_m:
             limit = f"look.max_radius_m = {self._limits.max_radius_m:g}"
             raise _Refused("uncertain", f"the place is known to {radius_m:.0f} m (90 %) only, and {limit}")
-        apart_m = _apart_m((answer.lat_deg, answer.lon_deg), (asked.lat_deg, asked.lon_deg))
+        apart_m = distance_m((answer.lat_deg, answer.lon_deg), (asked.lat_deg, asked.lon_deg))
         if not apart_m <= radius_m + min(asked.radius_m, self._limits.max_radius_m):
             raise _Refused("contradiction", f"the aircraft's own answer lies {apart_m:.0f} m away: click again")
         offer = Offer(secrets.token_hex(8), answer.lat_deg, answer.lon_deg, answer.height_amsl_m, radius_m, age_s)
@@ -279,9 +279,3 @@ def _with_outcome(what: str, word: str, most: int) -> str:
     end = f": {word}" if word else ""
     room = most - len(end)
     return (what if len(what) <= room else f"{what[: room - len(CUT)]}{CUT}") + end
-
-
-def _apart_m(one: tuple[float, float], other: tuple[float, float]) -> float:
-    """The horizontal distance of two places (latitude, longitude, degrees), m."""
-    north_m, east_m = (float(scale) for scale in metres_per_degree(one[0]))
-    return math.hypot((other[0] - one[0]) * north_m, within_180(other[1] - one[1]) * east_m)

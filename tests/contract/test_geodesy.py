@@ -3,7 +3,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from contract.geodesy import LocalFrame, ecef_to_geodetic, geodetic_to_ecef, metres_per_degree, rotation_enu_ecef
+from contract.geodesy import (
+    LocalFrame,
+    distance_m,
+    ecef_to_geodetic,
+    geodetic_to_ecef,
+    metres_per_degree,
+    rotation_enu_ecef,
+)
 
 latitudes = st.floats(-90.0, 90.0)
 longitudes = st.floats(-180.0, 180.0)
@@ -67,3 +74,9 @@ def test_a_degree_is_as_long_as_the_ellipsoid_makes_it(lat: float) -> None:
     east = geodetic_to_ecef([lat, lat], [-step, step], [0.0, 0.0])
     lengths_m = [np.linalg.norm(ends[1] - ends[0]) / (2.0 * step) for ends in (north, east)]
     assert metres_per_degree(lat) == pytest.approx(lengths_m, rel=1e-8, abs=1e-5)
+
+
+@pytest.mark.parametrize("lon_deg", [172.4, 179.99, -180.0])
+def test_a_distance_is_the_plane_s_within_some_kilometres_and_over_the_180th_meridian(lon_deg: float) -> None:
+    lat, lon, _ = LocalFrame(-43.4, lon_deg, 0.0).to_geodetic([1200.0, -900.0, 0.0])
+    assert distance_m((-43.4, lon_deg), (float(lat), float(lon))) == pytest.approx(1500.0, rel=1e-3)
