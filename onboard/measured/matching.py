@@ -67,7 +67,7 @@ class Row:
 
 
 @dataclass(frozen=True, eq=False)
-class _Warped:
+class Warped:
     """One view's patch at a depth and a slope: values (225,), their derivatives by the place in the view (225, 2), and
     the derivative (2,) of that place by the depth.
     """
@@ -77,7 +77,7 @@ class _Warped:
     by_inverse_depth: Array
 
     @classmethod
-    def at(cls, patch: Patch, view: View, w: float, slope: Array) -> _Warped:
+    def at(cls, patch: Patch, view: View, w: float, slope: Array) -> Warped:
         return cls(*shifted(patch, view, w, slope), by_inverse_depth(patch, view, w))
 
 
@@ -115,7 +115,7 @@ class _Converged:
     slope: Array
     last: _Solution
     before: float
-    there: list[_Warped]
+    there: list[Warped]
     prior: tuple[Array, Array]
 
 
@@ -127,7 +127,7 @@ def _converged(
     out: _Converged | None = None
     information = np.diag([0.0, SLOPE_SIGMA**-2, SLOPE_SIGMA**-2])
     for _ in range(ROUNDS):
-        there = [_Warped.at(patch, view, w, slope) for view in views]
+        there = [Warped.at(patch, view, w, slope) for view in views]
         prior = information, np.asarray(information @ [0.0, *(slope - usual)], float)
         last = _solved(patch, there, w, window, prior)
         _, step, covariance = last
@@ -140,9 +140,9 @@ def _converged(
     return out
 
 
-def _solved(patch: Patch, there: Sequence[_Warped], w: float, window: Mask, prior: tuple[Array, Array]) -> _Solution:
+def _solved(patch: Patch, there: Sequence[Warped], w: float, window: Mask, prior: tuple[Array, Array]) -> _Solution:
     """One step in a window. `prior`: the slope's information, and its pull."""
-    rows = [_row(patch, each, w, window) for each in there]
+    rows = [linearised(patch, each, w, window) for each in there]
     N = prior[0] + sum(row.J.T @ row.J / row.noise for row in rows)
     toward = np.sum([row.J.T @ row.residual / row.noise for row in rows], axis=0) - prior[1]
     if not N[0, 0] > 0.0:
@@ -164,12 +164,8 @@ def _apart(large: _Solution, small: _Solution) -> bool:
     return float(small[1][0] - large[1][0]) ** 2 > APART**2 * noise
 
 
-def linearised(patch: Patch, view: View, w: float, slope: Array, window: Mask) -> Row:
+def linearised(patch: Patch, there: Warped, w: float, window: Mask) -> Row:
     """Return the residual between the clicked patch and a view's, and its derivatives. (29.7)"""
-    return _row(patch, _Warped.at(patch, view, w, slope), w, window)
-
-
-def _row(patch: Patch, there: _Warped, w: float, window: Mask) -> Row:
     values, by_pixel = there.values, there.by_pixel
     clicked, _ = normalised(patch.values[window])
     seen, length = normalised(values[window])

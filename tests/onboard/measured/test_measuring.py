@@ -12,7 +12,7 @@ from contract.locate import Locator
 from contract.rotations import exp_so3
 from onboard.estimation.camera_states import corrected
 from onboard.events.kept_pictures import Kept
-from onboard.measured.matching import Match, linearised
+from onboard.measured.matching import Match, Warped, linearised
 from onboard.measured.patches import Patch, by_inverse_depth, places
 from onboard.measured.question import Questions
 from onboard.measured.views import Features, relative_pose, view_of
@@ -260,14 +260,12 @@ def test_the_derivatives_of_a_patch_are_those_of_finite_differences() -> None:
     b = by_inverse_depth(patch, view, w)
     moved = np.diff([places(patch, view, np.array([w + h]), slope)[0][0, 112] for h in (-1e-6, 1e-6)], axis=0)[0] / 2e-6
     np.testing.assert_allclose(b, moved, rtol=1e-3)
-    row = linearised(patch, view, w, slope, ALL)
+    row = linearised(patch, Warped.at(patch, view, w, slope), w, ALL)
     half_px = 0.5 / float(np.hypot(*b))
     for i, step in enumerate((half_px, half_px / w * 60.0, half_px / w * 60.0)):
+        steps = (sign * step * np.eye(3)[i] for sign in (1.0, -1.0))
         ahead, behind = (
-            linearised(
-                patch, view, w + sign * step * (i == 0), slope + sign * step * np.array([i == 1, i == 2]), ALL
-            ).residual
-            for sign in (1.0, -1.0)
+            linearised(patch, Warped.at(patch, view, w + h[0], slope + h[1:]), w + h[0], ALL).residual for h in steps
         )
         change = (behind - ahead) / (2.0 * step)
         assert np.corrcoef(change, row.J[:, i])[0, 1] > 0.97
