@@ -18,13 +18,7 @@ from contract.wire.radio_state import LOWER_STREAMS
 from onboard.config.schema import Config
 from onboard.events.source import SourceStatus
 from onboard.events.tunnel import RadioReport
-from onboard.pipeline.estimates import (
-    BORESIGHT,
-    RELATIVE_VARIANCE,
-    TIME_OFFSET,
-    larger_than_declared,
-    not_adopted,
-)
+from onboard.pipeline.estimates import BORESIGHT, RELATIVE_VARIANCE, TIME_OFFSET, larger_than_declared, not_adopted
 from onboard.service.reports import Report
 from onboard.service.vehicle_state import Subject, VehicleState
 

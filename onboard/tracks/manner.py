@@ -12,7 +12,6 @@ from contract.track_age import LOST_AFTER_S
 Array = NDArray[np.float64]
 
 MANNER_S = LOST_AFTER_S  # over which an acceleration is forgotten: (24.19) takes it as constant while a thing coasts
-
 UNSTEADY_S = 0.1  # of an acceleration besides that changes from one moment to the next, and is as large
 
 
@@ -34,6 +33,6 @@ def pushed(dt: float) -> Array:
     return new * np.array([dt**2 / math.sqrt(20.0), dt / math.sqrt(3.0), 1.0])
 
 
-def by_axes(T: Array, J: Array) -> Array:
-    """Return the matrix (6, 6) that is `T` (3, 3), of place, velocity and acceleration, times `J` (2, 2), of axes."""
-    return np.asarray((T[:, None, :, None] * J[:, None]).reshape(6, 6))
+def on_both_axes(T: Array) -> Array:
+    """Return the matrix (6, 6) that is `T` (3, 3), of place, velocity and acceleration, on each of two axes."""
+    return np.asarray((T[:, None, :, None] * np.eye(2)[:, None]).reshape(6, 6))

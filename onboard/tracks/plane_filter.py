@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from contract.track_age import ACCELERATION_M_S2
 from contract.velocity import Velocity
-from onboard.tracks.manner import UNSTEADY_S, by_axes, pushed, transition
+from onboard.tracks.manner import UNSTEADY_S, on_both_axes, pushed, transition
 
 Array = NDArray[np.float64]
 
@@ -70,12 +70,12 @@ class PlaneFilter:
     def predict(self, dt: float, m_px: float) -> None:
         """`dt` seconds on; `m_px`: metres a pixel on the ground. (24.12)"""
         F, g = np.eye(7), pushed(dt)
-        F[:6, :6] = by_axes(transition(dt), np.eye(2))
+        F[:6, :6] = on_both_axes(transition(dt))
         push = np.outer(g, g)
         push[:2, :2] += UNSTEADY_S * np.array([[dt**3 / 3.0, dt**2 / 2.0], [dt**2 / 2.0, dt]])
         self._x = self._x @ F.T
         self._P = F @ self._P @ F.T
-        self._P[:, :6, :6] += self._manner[:, None, None] ** 2 * by_axes(push, np.eye(2))
+        self._P[:, :6, :6] += self._manner[:, None, None] ** 2 * on_both_axes(push)
         self._P[:, (0, 1), (0, 1)] += (DRIFT_PX * m_px) ** 2 * dt
 
     def update(self, way_m: Array, slant: Array, noise: Array, dt: float) -> bool:
