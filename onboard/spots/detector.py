@@ -14,7 +14,7 @@ from contract.geodesy import LocalFrame
 from contract.thermal_scale import ThermalScale
 from onboard.config.schema import SpotsConfig
 from onboard.spots.clutter_tail import LARGEST, ClutterTail
-from onboard.spots.contrast import Contrast, Image, contrast, in_picture
+from onboard.spots.contrast import Contrast, Image, contrast, in_picture, stretched
 from onboard.spots.ground_scale import USUAL_M, GroundScale, ground_scale, usual_scale
 from onboard.spots.ground_view import GroundView
 from onboard.spots.regions import (
@@ -23,6 +23,7 @@ from onboard.spots.regions import (
     Region,
     about_peak,
     above,
+    is_cut_off,
     is_filled,
     peaks,
     region_of,
@@ -77,22 +78,32 @@ class Detector:
         pixel_m = self._pixel_m or USUAL_M / its_set.camera.fx_px
         values = counts.astype(np.float32) if self._scale is None else self._scale.kelvin(counts)
         found = self._large(values, used, pixel_m)
-        contrasts = []
-        for side_m, tail in self.tails.items():
-            if 2.0 * side_m < LEAST_PX * pixel_m:
-                continue
-            c = contrast(values, used.is_ground, side_m, pixel_m)
+        contrasts = [
+            contrast(values, used.is_ground, side_m, pixel_m)
+            for side_m in self.tails
+            if 2.0 * side_m >= LEAST_PX * pixel_m
+        ]
+        for c in contrasts:
+            tail = self.tails[c.side_m]
             if ground is not None:
                 self._learn(c, tail, ground, place_m, pixel_m)
-            contrasts.append(c)
-            must = tail.threshold
-            for size, part in self._small(c, pixel_m, must, MOST_REGIONS):
-                region = region_of(c, part, size)
-                if region is not None:
-                    found.append(replace(region, significance=region.contrast / max(must, 1e-6)))
+            found += self._regions(c, contrasts[-1], pixel_m, tail.threshold)
         if self._scale is not None:
             self._try_people(values, contrasts, pixel_m, its_set, ground, origin)
-        return apart(sorted(_wholes_first(found, values), key=lambda region: -region.significance))
+        kept = apart(sorted(_wholes_first(found, values), key=lambda region: -region.significance))
+        return [region for region in kept if not region.is_part]
+
+    def _regions(self, c: Contrast, largest: Contrast, pixel_m: float, must: float) -> list[Region]:
+        """Return the regions of the size of `c` whose contrast is above `must`."""
+        reach_px = round(size_limits(largest, pixel_m)[0] * largest.times / c.times)
+        ground = stretched(largest.background, c.values)
+        found = []
+        for size, part, peak in self._small(c, pixel_m, must, MOST_REGIONS):
+            region = region_of(c, part, size)
+            if region is not None:
+                is_part = is_cut_off(c, ground, peak, reach_px)
+                found.append(replace(region, significance=size / max(must, 1e-6), is_part=is_part))
+        return found
 
     def _try_people(
         self, values: Image, contrasts: list[Contrast], pixel_m: float, its_set: FeatureSet,
@@ -112,19 +123,19 @@ class Detector:
         area_km2 = 1e-6 * ground.area_m2((width, height)) * c.times**2
         if area_km2 > 0.0 and tail.ground.is_new(place_m, area_km2):
             found = self._small(c, pixel_m, 0.0, LARGEST)
-            tail.add(place_m, area_km2, np.array([size for size, _ in found]))
+            tail.add(place_m, area_km2, np.array([size for size, *_ in found]))
 
-    def _small(self, c: Contrast, pixel_m: float, least: float, most: int) -> list[tuple[float, Part]]:
-        """Contrasts and parts of what has the size that `c` is for, the greatest first."""
+    def _small(self, c: Contrast, pixel_m: float, least: float, most: int) -> list[tuple[float, Part, tuple[int, int]]]:
+        """Contrasts, parts and peaks of what has the size that `c` is for, the greatest first."""
         reach_px, least_px = size_limits(c, pixel_m)
-        found: list[tuple[float, Part]] = []
+        found: list[tuple[float, Part, tuple[int, int]]] = []
         for peak in peaks(c, least, TRIED):
             row, column = int(peak[0]), int(peak[1])
-            if any(part.holds(row, column) for _, part in found):
+            if any(part.holds(row, column) for _, part, _ in found):
                 continue
             part = about_peak(c.excess, (row, column), reach_px, least_px)
             if part is not None:
-                found.append((float(c.in_clutter[row, column]), part))
+                found.append((float(c.in_clutter[row, column]), part, (row, column)))
                 if len(found) == most:
                     break
         return found

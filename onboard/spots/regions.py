@@ -26,7 +26,7 @@ class Region:
     """A region that stands out, in pixels of the picture: its middle (2,), outline (N, 2), and contrast in sigmas.
 
     `hottest`: its largest value; `above`: by how much that exceeds its ground's. `significance`: contrast over the
-    least that it must have, to compare regions by.
+    least that it must have, to compare regions by. `is_part`: of a thing that the picture's border cuts off.
     """
 
     uv_px: Array
@@ -37,6 +37,7 @@ class Region:
     is_cut: bool
     significance: float = 0.0
     pixels: float = 1.0  # to the side of a pixel of the picture that it was found in
+    is_part: bool = False
     blur_px: float = 0.0  # one sigma of what has blurred it, where its outline is that at half of its height
 
 
@@ -94,6 +95,27 @@ def about_peak(whole: Image, peak: tuple[int, int], reach_px: int, least_px: flo
     if is_at_reach or level <= 0.0 or len(rows) < least_px:
         return None
     return Part(np.where(inside, excess - level, np.minimum(excess - level, 0.0)), up, left)
+
+
+def is_cut_off(c: Contrast, ground: Image, peak: tuple[int, int], reach_px: int) -> bool:
+    """Return whether the picture's border cuts off what is joined to a peak of `c` within `reach_px`.
+
+    Joined is what is above half of its height over `ground` (H, W), which is that about the largest things: a small
+    thing's own surroundings may be filled by the rest of a large one.
+    """
+    row, column = peak
+    height, width = c.values.shape
+    up, left = max(row - reach_px, 0), max(column - reach_px, 0)
+    down, right = min(row + reach_px, height - 1), min(column + reach_px, width - 1)
+    sides = np.array([up == 0, left == 0, down == height - 1, right == width - 1])
+    if not sides.any():
+        return False
+    values = c.values[up : down + 1, left : right + 1]
+    half = 0.5 * float(c.values[row, column] + ground[row, column])
+    _, labels = cv2.connectedComponents((values > half).astype(np.uint8), connectivity=8)
+    own = labels[row - up, column - left]
+    ends = np.array([np.any(line == own) for line in (labels[0], labels[:, 0], labels[-1], labels[:, -1])])
+    return bool(own != 0 and np.any(sides & ends))
 
 
 def region_of(c: Contrast, part: Part, contrast: float) -> Region | None:

@@ -52,8 +52,17 @@ def test_people_are_found_where_they_are_and_as_large_as_they_are() -> None:
         assert len(spot.outline_en_m) >= 8 and np.abs(spot.outline_en_m).max() < 0.7
     assert 0.9 < last.picture_share <= 1.0 and 0.2 < last.session_share < 0.6
     assert len(encode_spots(last)) <= 200 and len(decode_spots(encode_spots(last)).spots) == 2
-    assert [report.person_found for report in reports] == [1.0] * 4
+    # One who is cut off by the border is not found in that picture.
+    assert all(0.9 < (report.person_found or 0.0) <= 1.0 for report in reports)
     assert [max(report.person_named) for report in reports] == [0.0, 0.0, 1.0, 1.0]  # in two reports
+
+
+def test_a_car_that_leaves_the_picture_is_one_thing_as_long_as_it_is_seen_whole() -> None:
+    leaving = Scene(ThermalSpec(contrast=0.3, sources=(HeatSource.car((-12.0, 0.0)),)), step_m=1.0)
+    reports = simulated(leaving, range(32, 40))
+    # Its corners were things of 0.4 m2, seen whole, when only they were in the picture.
+    assert [len(report.spots) for report in reports] == [0, 1, 1, 0, 0, 0, 0, 0]
+    assert all(off_m(report, (-12.0, 0.0)) < 0.8 and not report.spots[0].is_cut for report in reports[1:3])
 
 
 def test_a_camera_with_its_own_gain_which_cuts_them_off_finds_one_and_states_no_temperature() -> None:
