@@ -34,6 +34,11 @@ FIXES = {
 """MAVLink's GPS_FIX_TYPE in words."""
 
 
+def fix_words(fix: int) -> str:
+    """Return MAVLink's GPS_FIX_TYPE in words."""
+    return FIXES.get(fix, f"fix type {fix}")
+
+
 @dataclass(frozen=True)
 class VehicleStatus:
     """One moment of one vehicle. Rates are over the last seconds, counts since the session began."""
@@ -68,7 +73,7 @@ class VehicleStatus:
     @property
     def gps_words(self) -> str:
         """The receiver's fix for people: "RTK fixed, 17 satellites"; empty where it is not known."""
-        fix = None if self.fix is None else FIXES.get(self.fix, f"fix type {self.fix}")
+        fix = None if self.fix is None else fix_words(self.fix)
         seen = None if self.satellites is None else f"{self.satellites} satellites"
         return ", ".join(text for text in (fix, seen) if text is not None)
 

@@ -8,6 +8,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 
 from ground.formats.mark import Mark
+from ground.web.tiles import MERCATOR_LAT_DEG
 
 SIDE = 256  # of a tile, and of the drawing's unit at the chosen zoom
 MOST_PX, LEAST_M = 760.0, 120.0  # the drawing's longer side, and the least that it shows
@@ -15,15 +16,14 @@ MARGIN = 0.12
 MOST_ZOOM = 21
 EARTH_M = 40_075_017.0
 ROUNDING_DEG = 1e-9
-MOST_LAT_DEG = 85.05  # where Web Mercator ends
 COLOURS = {"person": "#b3400a", "vehicle": "#0067a8", "fire": "#c1121f", "hazard": "#8a5a00", "poi": "#00735a"}
 LonLat = tuple[float, float]
 
 
 def report_map(marks: Sequence[Mark], paths: Sequence[Sequence[LonLat]], tile: Callable[[int, int, int], bytes]) -> str:
     """The SVG; empty where there is nothing to show. `tile`: PNG of what was seen at zoom, column and row."""
-    on_map = [mark for mark in marks if abs(mark.position[0]) <= MOST_LAT_DEG]
-    paths = [[at for at in path if abs(at[1]) <= MOST_LAT_DEG] for path in paths]
+    on_map = [mark for mark in marks if abs(mark.position[0]) <= MERCATOR_LAT_DEG]
+    paths = [[at for at in path if abs(at[1]) <= MERCATOR_LAT_DEG] for path in paths]
     places = [(lon, lat) for lat, lon in (mark.position for mark in on_map)] + [at for path in paths for at in path]
     if not places:
         return ""

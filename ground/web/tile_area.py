@@ -16,13 +16,12 @@ from typing import Any
 from contract.errors import InputError
 from ground.web.tile_fetch import DEEPEST, TRIES, Description, Fetcher, described, fetching, image_format
 from ground.web.tile_keep import Range, TileKeep
-from ground.web.tiles import Bounds, Tiles
+from ground.web.tiles import MERCATOR_LAT_DEG, Bounds, Tiles
 
 MOST_TILES, MOST_BYTES = 5000, 200_000_000  # of one download
 USUAL_BYTES = 25_000.0  # of a tile, where none is known
 TOGETHER = 20  # tiles that are written in one transaction
 ASK_AGAIN_S = 60.0  # after an address did not describe its tiles
-_MERCATOR_LAT = 85.051129
 
 
 @dataclass(frozen=True)
@@ -41,7 +40,7 @@ def tile_range(bounds: Bounds, zoom: int) -> Range:
         return min(max(int((lon_deg + 180.0) / 360.0 * n), 0), n - 1)
 
     def row(lat_deg: float) -> int:
-        lat_rad = math.radians(min(max(lat_deg, -_MERCATOR_LAT), _MERCATOR_LAT))
+        lat_rad = math.radians(min(max(lat_deg, -MERCATOR_LAT_DEG), MERCATOR_LAT_DEG))
         return min(max(int((1.0 - math.asinh(math.tan(lat_rad)) / math.pi) / 2.0 * n), 0), n - 1)
 
     return column(bounds[0]), column(bounds[2]), row(bounds[3]), row(bounds[1])

@@ -27,7 +27,7 @@ MEDIA = {
 _PMTILES_TYPE_AT, _VECTOR = 99, 1  # of the header's byte that specifies the tiles' type
 _PMTILES_ZOOMS_AT = 100  # two bytes; then west, south, east, north as little-endian 1e-7 degrees
 LAST_ZOOM = 30  # of any map
-_MERCATOR_LAT = 85.051129  # where the square map of the world ends
+MERCATOR_LAT_DEG = 85.051129  # where the square map of the world ends
 Bounds = tuple[float, float, float, float]
 """West, south, east, north, in degrees."""
 
@@ -131,7 +131,7 @@ def _stated_bounds(text: str) -> Bounds | None:
 def _bounds(west: float, south: float, east: float, north: float) -> Bounds | None:
     """None for what cannot be the bounds of a map; some writers leave them at nothing, or go beyond the poles."""
     is_possible = -180.0 <= west < east <= 180.0 and -90.0 <= south < north <= 90.0
-    return (west, max(south, -_MERCATOR_LAT), east, min(north, _MERCATOR_LAT)) if is_possible else None
+    return (west, max(south, -MERCATOR_LAT_DEG), east, min(north, MERCATOR_LAT_DEG)) if is_possible else None
 
 
 def _tiles_bounds(zoom: int, west: int, east: int, south: int, north: int) -> Bounds | None:

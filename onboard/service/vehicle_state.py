@@ -13,6 +13,7 @@ from enum import Enum
 
 from contract.feature_set import Status
 from contract.supervised_thread import ThreadReport
+from contract.vehicle_status import fix_words
 from onboard.events.source import Severity, SourceStatus, State
 
 STUCK_S = 4.0  # one event never takes this long
@@ -80,7 +81,7 @@ class GpsReport:
         seen = "" if self.satellites is None else f", {self.satellites} satellites"
         claim = "" if self.sigma_horizontal_m is None else f", +-{self.sigma_horizontal_m:.1f} m"
         old = f", {self.age_s:.0f} s old" if self.age_s >= MAX_GPS_AGE_S else ""
-        return f"fix type {self.fix_type}{seen}{claim}{old}"
+        return f"{fix_words(self.fix_type)}{seen}{claim}{old}"
 
 
 @dataclass(frozen=True)
@@ -205,7 +206,7 @@ def gps_findings(gps: GpsReport | None) -> tuple[Finding, ...]:
     if gps is None:
         return (Finding(Subject.GPS, VehicleState.DEGRADED, "gps: the receiver has sent nothing"),)
     if gps.fix_type < MIN_FIX_TYPE:
-        return (Finding(Subject.GPS, VehicleState.NO_GPS, f"no fix ({gps})"),)
+        return (Finding(Subject.GPS, VehicleState.NO_GPS, f"no position ({gps})"),)
     if gps.age_s >= MAX_GPS_AGE_S:
         return (Finding(Subject.GPS, VehicleState.NO_GPS, f"the receiver has been silent for {gps.age_s:.0f} s"),)
     if gps.sigma_horizontal_m is not None and gps.sigma_horizontal_m > MAX_GPS_SIGMA_M:

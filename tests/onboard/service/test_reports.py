@@ -66,4 +66,4 @@ def test_brightness_is_of_the_picture() -> None:
 def test_the_receivers_word_ages() -> None:
     assert gps_report(None, 5_000_000_000) is None
     report = gps_report(GpsQuality(1_000_000_000, 3, 14, 0.8), 5_000_000_000)
-    assert (report.age_s, str(report)) == (4.0, "fix type 3, 14 satellites, +-0.8 m, 4 s old")
+    assert (report.age_s, str(report)) == (4.0, "3D fix, 14 satellites, +-0.8 m, 4 s old")

@@ -167,5 +167,5 @@ def test_standing_there_without_a_fix_is_not_well_and_both_say_so() -> None:
             if number >= 40 and report.status.state == "no gps" and Status.NO_GPS.value in report.pictures.refused:
                 break
     assert report.status.state == "no gps"
-    assert report.status.reason.startswith("no fix")
+    assert report.status.reason.startswith("no position")
     assert Status.NO_GPS.value in report.pictures.refused
