@@ -14,7 +14,7 @@ from contract.geodesy import LocalFrame
 from contract.thermal_scale import ThermalScale
 from onboard.config.schema import SpotsConfig
 from onboard.spots.clutter_tail import LARGEST, ClutterTail
-from onboard.spots.contrast import Contrast, Image, contrast, in_picture, stretched
+from onboard.spots.contrast import Contrast, Image, contrast, in_picture
 from onboard.spots.ground_scale import USUAL_M, GroundScale, ground_scale, usual_scale
 from onboard.spots.ground_view import GroundView
 from onboard.spots.regions import (
@@ -96,12 +96,11 @@ class Detector:
     def _regions(self, c: Contrast, largest: Contrast, pixel_m: float, must: float) -> list[Region]:
         """Return the regions of the size of `c` whose contrast is above `must`."""
         reach_px = round(size_limits(largest, pixel_m)[0] * largest.times / c.times)
-        ground = stretched(largest.background, c.values)
         found = []
         for size, part, peak in self._small(c, pixel_m, must, MOST_REGIONS):
             region = region_of(c, part, size)
             if region is not None:
-                is_part = is_cut_off(c, ground, peak, reach_px)
+                is_part = is_cut_off(c, largest, peak, reach_px)
                 found.append(replace(region, significance=size / max(must, 1e-6), is_part=is_part))
         return found
 

@@ -97,11 +97,11 @@ def about_peak(whole: Image, peak: tuple[int, int], reach_px: int, least_px: flo
     return Part(np.where(inside, excess - level, np.minimum(excess - level, 0.0)), up, left)
 
 
-def is_cut_off(c: Contrast, ground: Image, peak: tuple[int, int], reach_px: int) -> bool:
+def is_cut_off(c: Contrast, largest: Contrast, peak: tuple[int, int], reach_px: int) -> bool:
     """Return whether the picture's border cuts off what is joined to a peak of `c` within `reach_px`.
 
-    Joined is what is above half of its height over `ground` (H, W), which is that about the largest things: a small
-    thing's own surroundings may be filled by the rest of a large one.
+    Joined is what is above half of its height over the ground about the `largest` things: a small thing's own
+    surroundings may be filled by the rest of a large one.
     """
     row, column = peak
     height, width = c.values.shape
@@ -111,7 +111,9 @@ def is_cut_off(c: Contrast, ground: Image, peak: tuple[int, int], reach_px: int)
     if not sides.any():
         return False
     values = c.values[up : down + 1, left : right + 1]
-    half = 0.5 * float(c.values[row, column] + ground[row, column])
+    rows, columns = largest.background.shape
+    ground = largest.background[row * rows // height, column * columns // width]
+    half = 0.5 * float(c.values[row, column] + ground)
     _, labels = cv2.connectedComponents((values > half).astype(np.uint8), connectivity=8)
     own = labels[row - up, column - left]
     ends = np.array([np.any(line == own) for line in (labels[0], labels[:, 0], labels[-1], labels[:, -1])])

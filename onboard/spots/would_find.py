@@ -74,7 +74,7 @@ class Trial:
             shown = around[i : i + 2 * radius + 1, j : j + 2 * radius + 1] + persons[which[k]]
             if self._is_close(shown, must[k]):
                 shown = self._with_person(at[k] * self._kelvin.shape)
-            out[k] = self._is_thing(shown, must[k], np.array([i, j]))
+            out[k] = self._is_thing(shown, must[k], (int(i), int(j)))
         return out
 
     def _clutter_with_person(self, row: Index, column: Index) -> Image:
@@ -106,18 +106,22 @@ class Trial:
         excess = np.pad(found.excess, reach)
         return np.asarray(excess[i : i + 2 * reach + 1, j : j + 2 * reach + 1], np.float32)
 
-    def _is_thing(self, shown: Image, must: float, at: Index) -> bool:
-        """Return whether a peak by the middle, the pixel `at` (2,) of the picture, is above what it must have, of the
-        thing's size, and whole.
+    def _is_thing(self, shown: Image, must: float, at: tuple[int, int]) -> bool:
+        """Return whether a peak by the middle, the pixel `at`, is above what it must have, of the thing's
+        size, and whole.
         """
         middle = _middle(shown, self._radius)
         y, x = divmod(int(middle.argmax()), 3)
         peak = self._radius - 1 + y, self._radius - 1 + x
         part = about_peak(shown, peak, *self._limits) if middle[y, x] > must else None
-        if part is None:
-            return False
+        if part is None or self._is_far_inside(at):
+            return part is not None
         pixels = np.argwhere(part.level > 0.0) + (part.up, part.left) + at - self._radius
         return bool((pixels > 0).all() and (pixels < np.array(self._c.values.shape) - 1).all())
+
+    def _is_far_inside(self, at: tuple[int, int]) -> bool:
+        """Return whether nothing about a pixel is at the border."""
+        return all(self._radius < k < n - 1 - self._radius for k, n in zip(at, self._c.values.shape, strict=True))
 
 
 def _middle(shown: Image, radius: int) -> Image:

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from contract.feature_set import Status
 from contract.locate import Locator
-from onboard.spots.contrast import contrast, in_picture, stretched
+from onboard.spots.contrast import contrast, in_picture
 from onboard.spots.ground_scale import ground_scale
 from onboard.spots.regions import about_peak, above, is_cut_off, peaks, region_of
 from simulation.trajectory import Pose
@@ -52,27 +52,27 @@ def test_a_warm_road_across_a_corner_of_the_picture_is_as_short_as_a_person_and_
     values[np.abs(row + column - 8.0) <= 2.5] += 3.0  # 11 pixels of it are in the picture
     values[100:104, 200:204] += 8.0
     c = contrast(values, GROUND, 0.6, 0.15)
-    ground = stretched(contrast(values, GROUND, 2.4, 0.15).background, c.values)
+    largest = contrast(values, GROUND, 2.4, 0.15)
     at = sorted((int(row), int(column)) for row, column in peaks(c, 10.0, 9))
     corner, thing = at[0], at[-1]
     assert sum(corner) < 12 and thing[0] > 70
     assert about_peak(c.excess, corner, 8, 4.0) is not None and about_peak(c.excess, thing, 8, 4.0) is not None
-    assert is_cut_off(c, ground, corner, 24) and not is_cut_off(c, ground, thing, 24)
-    assert not is_cut_off(c, ground, thing, 150)  # nor where the border is within reach
+    assert is_cut_off(c, largest, corner, 24) and not is_cut_off(c, largest, thing, 24)
+    assert not is_cut_off(c, largest, thing, 150)  # nor where the border is within reach
 
 
 def test_a_corner_of_what_the_border_cuts_off_is_no_thing_although_it_is_whole_itself() -> None:
     values = field()
     values[222:, 100:112] += 15.0
     c = contrast(values, GROUND, 0.3, 0.15)
-    ground = stretched(contrast(values, GROUND, 2.4, 0.15).background, c.values)
+    largest = contrast(values, GROUND, 2.4, 0.15)
     wholes = [
         peak
         for peak in ((int(at[0]), int(at[1])) for at in peaks(c, 10.0, 9))
         if (part := about_peak(c.excess, peak, 4, 1.0)) is not None
         and part.up + np.nonzero(part.level > 0.0)[0].max() < 239
     ]
-    assert wholes and all(is_cut_off(c, ground, peak, 24) for peak in wholes)
+    assert wholes and all(is_cut_off(c, largest, peak, 24) for peak in wholes)
 
 
 def test_the_middle_and_size_of_a_thing_are_found_below_a_pixel() -> None:
