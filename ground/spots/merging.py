@@ -58,9 +58,8 @@ class _Thing:
 
     @property
     def has_moved(self) -> bool:
-        """True if standing does not explain the places in the newest session. (26.7)"""
-        moving, still = self.moving[self.last], self.still[self.last]
-        return still.misfit - moving.misfit > MOVED
+        """True if standing does not explain the places in one of the sessions. (26.7)"""
+        return any(still.misfit - self.moving[of].misfit > MOVED for of, still in self.still.items())
 
     @property
     def is_moving(self) -> bool:
@@ -73,14 +72,20 @@ class _Thing:
         """Squared distance of a place from where the thing is, or may have gone. (26.4), (26.6)"""
         held = self.still.get(session)
         if held is None:
-            place, covariance = self.merged()
-            away, C = seen.place_m - place, covariance + seen.covariance_m2
-            return float(away @ np.linalg.solve(C, away))
+            return self._distance2_from_others(seen)
         gap_s, moved = seen.at_s - held.at_s, self.moving[session].distance2(seen)
         if self.has_moved:
-            return moved if gap_s <= UNSEEN_S else math.inf
+            followed = moved if gap_s <= UNSEEN_S else math.inf
+            # Another session may have seen since where it went.
+            return followed if self.last == session else min(followed, self._distance2_from_others(seen))
         # It is not yet known whether it moves: for a short while it may have.
         return min(moved, held.distance2(seen)) if gap_s <= SHORT_S else held.distance2(seen)
+
+    def _distance2_from_others(self, seen: Sighting) -> float:
+        """Squared distance from where other sessions have it."""
+        place, covariance = self.merged()
+        away, C = seen.place_m - place, covariance + seen.covariance_m2
+        return float(away @ np.linalg.solve(C, away))
 
     def take(self, session: Session, seen: Sighting) -> None:
         if session not in self.still:
@@ -93,15 +98,22 @@ class _Thing:
     def merged(self) -> tuple[Array, Array]:
         """Place (2,), m, and covariance (2, 2): of sessions by their whole covariances, which share nothing. (26.8)
 
-        One that has moved is where its newest session has it.
+        One that has moved, in whichever session, is where its newest session has it: the others' places are of where
+        it was. So is one of which an earlier session contradicts the newest.
         """
         if self.has_moved:
             motion = self.moving[self.last]
             return motion.place_m, motion.covariance_m2
-        information = [np.linalg.inv(motion.covariance_m2) for motion in self.still.values()]
-        covariance = np.linalg.inv(np.sum(information, axis=0))
-        weighed = [W @ m.place_m for W, m in zip(information, self.still.values(), strict=True)]
-        return covariance @ np.sum(weighed, axis=0), covariance
+        newest = self.still[self.last]
+        place, covariance = newest.place_m, newest.covariance_m2
+        for other in self.still.values():
+            if other is newest:
+                continue
+            away, C = other.place_m - place, covariance + other.covariance_m2
+            if float(away @ np.linalg.solve(C, away)) <= GATE:
+                gain = covariance @ np.linalg.inv(C)
+                place, covariance = place + gain @ away, gain @ other.covariance_m2
+        return place, covariance
 
 
 class SpotMerger:

@@ -157,6 +157,60 @@ def test_another_aircraft_and_another_session_share_nothing_and_make_the_place_b
     assert ratio == pytest.approx(1.0 / math.sqrt(3.0), rel=0.05)
 
 
+def until_30_s(t: float) -> list[tuple[float, float]]:
+    """1.3 m/s to the east, then standing."""
+    return [(1.3 * min(t, 30.0), 0.0)]
+
+
+def ellipses_off(things: Things, after_s: float, *flights: tuple[Flight, int]) -> tuple[list[float], int]:
+    """How far, in semi-axes, the thing of each report after a moment is from the truth then; and the number of things.
+
+    Of flights and their numbers of pictures, as their reports come.
+    """
+    reports = [report for flight, pictures in flights for report in flight.reports(things, pictures)]
+    merger, off = SpotMerger(), []
+    for report in sorted(reports, key=lambda one: one.capture_unix_ns):
+        at_s = (report.capture_unix_ns - START_NS) / 1e9
+        for found in merger.add(report):
+            if at_s >= after_s:
+                away_m = float(np.hypot(*offset_m(found.place, things(at_s)[0])))
+                off.append(away_m / found.place.ellipse.semi_major_m)
+    return off, len(merger.things())
+
+
+@pytest.mark.parametrize(
+    ("things", "begin_s", "other"),
+    [
+        pytest.param(walking, 20.2, {"vehicle": "uav-2"}, id="both watch"),
+        pytest.param(walking, 30.2, {"vehicle": "uav-2"}, id="handed over"),
+        pytest.param(until_30_s, 33.2, {"vehicle": "uav-2"}, id="he stands when the second sees him"),
+        pytest.param(until_30_s, 31.2, {"session": 2}, id="the first began again"),
+    ],
+)
+def test_a_walker_is_where_the_newest_session_has_him_whoever_saw_him_go(
+    things: Things, begin_s: float, other: dict[str, Any]
+) -> None:
+    """His place was the mean with the middle of his way, as one that had never gone: 7.7 ellipses off, and for good
+    where he stood by then.
+    """
+    for seed in range(4):
+        second = flight(seed + 100, begin_s=begin_s, **other)
+        off, count = ellipses_off(things, 15.0, (flight(seed), 61), (second, 40))
+        assert count == 1 and max(off) < 2.0
+
+
+def test_two_sessions_that_contradict_each_other_are_not_averaged() -> None:
+    """The other's first picture may agree by chance with a thing from which its others lead away."""
+    sure = {"picture_share": 0.3, "session_share": 0.0}
+    merger = SpotMerger()
+    for report in flight(1, **sure).reports(standing((0.0, 0.0)), 60):
+        merger.add(report)
+    for report in flight(6, vehicle="uav-2", begin_s=100.0, **sure).reports(standing((5.5, 0.0)), 60):
+        merger.add(report)
+    newest = merger.things()[-1]
+    assert newest.newest.vehicle == "uav-2" and np.hypot(*offset_m(newest.place, (5.5, 0.0))) < 1.0
+
+
 def test_the_hottest_picture_and_the_best_one_are_kept() -> None:
     merger = SpotMerger()
     cov = covariance(1.0, 1.0, 0.0)
@@ -221,3 +275,17 @@ def test_of_many_walkers_the_place_is_inside_of_the_ellipse_and_the_speed_within
             moving += 1
             good += abs(course.speed_m_s - 1.4) <= 0.5 and abs(course.course_deg - 90.0) <= 20.0
     assert 0.85 * 300 <= inside <= 0.97 * 300 and moving >= 0.97 * 300 and good >= 0.95 * moving
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("begin_s", [20.2, 30.2, 33.2])
+def test_of_many_walkers_whom_two_aircraft_saw_the_place_is_inside_of_the_ellipse(begin_s: float) -> None:
+    inside = []
+    for seed in range(60):
+        first, second = flight(seed), flight(1000 + seed, vehicle="uav-2", begin_s=begin_s)
+        merger = SpotMerger()
+        reports = [*first.reports(until_30_s, 61), *second.reports(until_30_s, 40)]
+        for report in sorted(reports, key=lambda one: one.capture_unix_ns):
+            at_s = (report.capture_unix_ns - START_NS) / 1e9
+            inside += [is_inside(thing.place, until_30_s(at_s)[0]) for thing in merger.add(report) if at_s >= 15.0]
+    assert 0.82 <= np.mean(inside) <= 0.97
