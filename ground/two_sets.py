@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from contract.answer import Fix
 from contract.error_correlation import LEAST_SPAN_S, Span, slow_error_correlations
-from contract.feature_set import COMMON_STATES, FeatureSet, SharedErrors
+from contract.feature_set import COMMON_STATES, GROUND, NUISANCES, FeatureSet, SharedErrors
 from contract.geodesy import LocalFrame
 from contract.rotations import skew
 
@@ -86,6 +86,19 @@ def common_cross_covariance(one: SetErrors, two: SetErrors) -> Array:
     return slow + share * np.linalg.solve(M, both)
 
 
+def covariance_between_sessions(one: SetErrors, two: SetErrors, is_one_vehicle: bool) -> Array:
+    """Covariance (9, 9) between the common states of sets of two sessions, at most: of one place's ground, and with
+    that of one vehicle's receiver, attitude, mount and clock. (17.8)
+    """
+    correlations = np.zeros(NUISANCES)
+    if is_one_vehicle:
+        later_s = (two.capture_unix_ns - one.capture_unix_ns) / 1e9
+        correlations = slow_error_correlations(one.shared, _about(one, 0.0), two.shared, _about(two, later_s))
+    correlations[GROUND] = 1.0
+    out: Array = (one.shared.by_nuisance * correlations) @ two.shared.by_nuisance.T
+    return out
+
+
 def overlap(one: SetErrors, two: SetErrors) -> float:
     """The share, 0 to 1, of pictures common to the windows of two sets of a session: o of (9.15)."""
     a, b = _span(one), _span(two)
@@ -99,7 +112,11 @@ def nuisance_correlations(one: SetErrors, two: SetErrors) -> Array:
 
 def _span(s: SetErrors) -> Span:
     """First and last moment behind a set, s after its session began; at least a little apart."""
-    at = (s.capture_unix_ns - s.session * 1_000_000_000) / 1e9
+    return _about(s, (s.capture_unix_ns - s.session * 1_000_000_000) / 1e9)
+
+
+def _about(s: SetErrors, at: float) -> Span:
+    """The same about the moment at which its picture was taken."""
     first, last = at + s.shared.span_s[0], at + s.shared.span_s[1]
     grow = max(LEAST_SPAN_S - (last - first), 0.0) / 2.0
     return first - grow, last + grow

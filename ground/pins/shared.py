@@ -11,7 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.pins.model import ClickErrors, PinClick
-from ground.two_sets import common_cross_covariance, overlap, position_jacobian, symmetric_root
+from ground.two_sets import (
+    common_cross_covariance,
+    covariance_between_sessions,
+    overlap,
+    position_jacobian,
+    symmetric_root,
+)
 
 Array = NDArray[np.float64]
 
@@ -24,21 +30,34 @@ KEPT_PAIRS = 20_000
 
 
 class _Pairs:
-    """`common_cross_covariance`, computed once for two sets, with all that it depends on as the key. Thread-safe."""
+    """`common_cross_covariance`, computed once for two sets, with all that it depends on as the key. Of two sessions
+    `covariance_between_sessions`. Thread-safe.
+    """
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._kept: OrderedDict[tuple[bytes, bytes], Array] = OrderedDict()
+        self._kept: OrderedDict[tuple[bytes, bytes, bool, bool], Array] = OrderedDict()
 
-    def of(self, one: ClickErrors, one_key: bytes, two: ClickErrors, two_key: bytes) -> Array:
+    def of(
+        self,
+        one: ClickErrors,
+        one_key: bytes,
+        two: ClickErrors,
+        two_key: bytes,
+        is_one_session: bool = True,
+        is_one_vehicle: bool = True,
+    ) -> Array:
         """(9, 9)."""
-        key = one_key, two_key
+        key = one_key, two_key, is_one_session, is_one_vehicle
         with self._lock:
             held = self._kept.get(key)
             if held is not None:
                 self._kept.move_to_end(key)
                 return held
-        made = common_cross_covariance(one, two)
+        if is_one_session:
+            made = common_cross_covariance(one, two)
+        else:
+            made = covariance_between_sessions(one, two, is_one_vehicle)
         with self._lock:
             self._kept[key] = made
             while len(self._kept) > KEPT_PAIRS:
@@ -85,7 +104,8 @@ def joint_covariances(clicks: Sequence[PinClick], spots: Sequence[object]) -> tu
             other = slice(3 * j, 3 * j + 3)
             if (one := clicks[j].errors) is None or (two := a.errors) is None:
                 continue
-            is_one_session = (clicks[j].vehicle, clicks[j].session) == (a.vehicle, a.session)
+            is_one_vehicle = clicks[j].vehicle == a.vehicle
+            is_one_session = is_one_vehicle and clicks[j].session == a.session
             common = np.zeros((3, 3))
             if is_one_session:
                 common = Js[j] @ _PAIRS.of(one, keys[j], two, keys[i]) @ Js[i].T
@@ -97,6 +117,8 @@ def joint_covariances(clicks: Sequence[PinClick], spots: Sequence[object]) -> tu
                 if is_one_session:
                     by_depth += overlap(one, two) * one.feature_noise * two.feature_noise
                     own = roots[j] @ roots[i]
+                else:
+                    own = Js[j] @ _PAIRS.of(one, keys[j], two, keys[i], False, is_one_vehicle) @ Js[i].T
                 own = own + by_depth * np.outer(one.offset_enu_m, two.offset_enu_m)
             apart[other, at], same[other, at] = common, common + own
             apart[at, other], same[at, other] = apart[other, at].T, same[other, at].T

@@ -7,10 +7,11 @@ import pytest
 from numpy.typing import NDArray
 
 from contract.answer import CHI2_2
+from contract.feature_set import GROUND
 from ground.pins.fusion import Contradiction, Place, Unplaced, Vector, fuse, vector
 from ground.pins.model import PinClick
 from ground.two_sets import SetErrors, common_cross_covariance
-from tests.ground.pins.flights import sightings
+from tests.ground.pins.flights import drifting, sightings
 from tests.ground.worlds import ORIGIN
 from tests.rest_long import rest_long
 
@@ -55,6 +56,47 @@ def test_the_fused_ellipse_holds_ninety_percent(clicks: int, trials: int, same_w
         assert 0.4 < np.mean(ratio) < 0.65  # independent errors would give 0.22
     if clicks > 1 and same_window:
         assert 0.97 < np.mean(ratio) <= 1.001  # the same picture again says nothing new
+
+
+def of_session(click: PinClick, session: int, vehicle: str) -> PinClick:
+    assert click.errors is not None
+    errors = dataclasses.replace(click.errors, session=session)
+    return dataclasses.replace(click, session=session, vehicle=vehicle, errors=errors)
+
+
+def two_sessions(rng: np.random.Generator, apart_s: float, vehicle: str) -> list[PinClick]:
+    """A click of each: what stays in an aircraft stays in it from one to the next, the ground's slope in both."""
+    times_s = np.array([0.0, apart_s])
+    draws = drifting(rng, times_s)
+    if vehicle != "uav":
+        draws[1, : GROUND.start] = rng.normal(size=GROUND.start)
+    one, two = sightings(rng, times_s, np.tile(TARGET, (2, 1)), draws=draws)
+    return [of_session(one, 1_700_000_000, "uav"), of_session(two, 1_700_000_000 + int(apart_s) - 5, vehicle)]
+
+
+# Of two clicks: when, whose, and by how much of one click's radius their pin's is at least and at most.
+SESSIONS = [(15.0, "uav", 0.8, 0.95), (86_400.0, "uav", 0.74, 0.9), (86_400.0, "other", 0.65, 0.74)]
+
+
+@pytest.mark.parametrize(("apart_s", "vehicle", "least", "most"), SESSIONS)
+def test_sessions_share_what_neither_has_learned_and_a_receiver_as_long_as_its_errors_last(
+    apart_s: float, vehicle: str, least: float, most: float
+) -> None:
+    """They shared nothing: every one would have had 0.69, and the truth was in 76 and 79 % of the first two's."""
+    ratios = []
+    for seed in range(8):
+        clicks = two_sessions(np.random.default_rng(seed), apart_s, vehicle)
+        ratios.append(fuse(clicks).ce90_m / fuse(clicks[:1]).ce90_m)
+    assert least < np.mean(ratios) < most
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("apart_s", "vehicle"), [case[:2] for case in SESSIONS])
+def test_of_two_sessions_the_fused_ellipse_holds_ninety_percent(apart_s: float, vehicle: str) -> None:
+    rng = np.random.default_rng(31)
+    places = [fuse(two_sessions(rng, apart_s, vehicle)) for _ in range(400)]
+    held = [inside(place) for place in places if isinstance(place, Place)]
+    assert len(held) >= 397 and 0.83 <= np.mean(held) <= 0.95
 
 
 def test_a_click_repeated_does_not_make_the_pin_surer() -> None:
