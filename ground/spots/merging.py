@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -96,7 +96,7 @@ class _Thing:
         self.moving[session].take(seen)
 
     def merged(self) -> tuple[Array, Array]:
-        """Place (2,), m, and covariance (2, 2): of sessions by their whole covariances, which share nothing. (26.8)
+        """Place (2,), m, and covariance (2, 2): of sessions by their whole covariances. (26.8)
 
         One that has moved, in whichever session, is where its newest session has it: the others' places are of where
         it was. So is one of which an earlier session contradicts the newest.
@@ -104,16 +104,30 @@ class _Thing:
         if self.has_moved:
             motion = self.moving[self.last]
             return motion.place_m, motion.covariance_m2
-        newest = self.still[self.last]
-        place, covariance = newest.place_m, newest.covariance_m2
-        for other in self.still.values():
-            if other is newest:
-                continue
-            away, C = other.place_m - place, covariance + other.covariance_m2
-            if float(away @ np.linalg.solve(C, away)) <= GATE:
-                gain = covariance @ np.linalg.inv(C)
-                place, covariance = place + gain @ away, gain @ other.covariance_m2
+        joined = {self.last: self.still[self.last]}
+        place, covariance = _joined(joined)
+        for session, motion in self.still.items():
+            away, C = motion.place_m - place, covariance + motion.covariance_m2
+            if session != self.last and float(away @ np.linalg.solve(C, away)) <= GATE:
+                joined[session] = motion
+                place, covariance = _joined(joined)
         return place, covariance
+
+
+def _joined(sessions: Mapping[Session, Motion]) -> tuple[Array, Array]:
+    """Place (2,) and covariance (2, 2) of what stands, weighed as if no two sessions shared anything. Those of one
+    vehicle may have all of what each shares with itself in common, and the covariance has that. (26.8)
+    """
+    information = {session: np.linalg.inv(motion.covariance_m2) for session, motion in sessions.items()}
+    T = np.linalg.inv(np.sum(list(information.values()), axis=0))
+    place, covariance = np.zeros(2), np.zeros((2, 2))
+    shared: dict[str, Array] = {}
+    for (vehicle, session), motion in sessions.items():
+        W = T @ information[vehicle, session]
+        place = place + W @ motion.place_m
+        covariance = covariance + W @ motion.own_covariance_m2 @ W.T
+        shared[vehicle] = shared.get(vehicle, 0.0) + W @ motion.shared_root_m
+    return place, covariance + np.sum([root @ root.T for root in shared.values()], axis=0)
 
 
 class SpotMerger:

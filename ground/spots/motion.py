@@ -117,8 +117,18 @@ class Motion:
     @property
     def covariance_m2(self) -> Array:
         """(2, 2) of the place, with all that is shared. (26.5)"""
-        out: Array = self._P[:2, :2] + self._shared[:2] @ self._shared[:2].T
+        out: Array = self.own_covariance_m2 + self.shared_root_m @ self.shared_root_m.T
         return out
+
+    @property
+    def own_covariance_m2(self) -> Array:
+        """(2, 2) of the place, without what the session shares."""
+        return self._P[:2, :2]
+
+    @property
+    def shared_root_m(self) -> Array:
+        """(2, 2): the root of what the session shares, as it acts on the place."""
+        return self._shared[:2]
 
     @property
     def velocity_m_s(self) -> Array:
