@@ -94,6 +94,14 @@ class History(Generic[T]):
         """The numbers of the sessions of which anything is kept."""
         return list(self._sessions)
 
+    def span_ns(self, session: int) -> tuple[int, int] | None:
+        """When the first and the newest picture that are kept of a session, which runs or not, were taken; None of one
+        without any.
+        """
+        held = self._sessions.get(session)
+        entries = [] if held is None else held.ordered()
+        return (entries[0].capture_unix_ns, entries[-1].capture_unix_ns) if entries else None
+
     def _of(self, session: int) -> _Session[T]:
         return self._sessions.setdefault(session, _Session(session))
 

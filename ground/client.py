@@ -38,7 +38,7 @@ from ground.last_received import MOST_VEHICLES, LastReceived
 from ground.mavlink_endpoint import SCHEME, MavlinkEndpoint
 from ground.mavlink_sets import MavlinkSets, RadioSystems
 from ground.presence import is_through_router, vehicles_there
-from ground.received_sets import ReceivedSets
+from ground.received_sets import ReceivedSets, two_of_one_name
 from ground.watched_thread import WatchedThread
 
 PICTURE_TIMEOUT_S = 8.0  # of a picture asked for by its number or its time, which may have no set yet
@@ -136,7 +136,8 @@ def only_vehicle(session: Any, endpoint: str) -> str:
 def _replies(
     session: Any, vehicle: str, parameters: str, dropped: DroppedMessages, timeout_s: float = ANSWER_TIMEOUT_S
 ) -> dict[str, Reply]:
-    """Each vehicle's answer to a question; its age includes the time that the question took. Raises WireError.
+    """Each vehicle's answer to a question; its age includes the time that the question took. Raises WireError, and
+    LinkError where two aircraft answer under one name.
 
     A set is accepted by the key under which it came. A refusal comes without one: where all were asked, whom it names
     is asked by its own key, which only that vehicle can answer.
@@ -153,7 +154,10 @@ def _replies(
             except ForeignMessage as error:
                 dropped.failed(error)
                 continue
-            answers[str(answer.answer.vehicle)] = answer.later_by(took_s)
+            named = str(answer.answer.vehicle)
+            if (before := answers.get(named)) is not None:
+                _check_is_one(before.answer, answer.answer)
+            answers[named] = answer.later_by(took_s)
         elif (refusal := _refusal(reply.err)) is not None and len(refusing) < MOST_REFUSING:
             named = str(refusal.answer.vehicle)
             if vehicle == ANY_VEHICLE:
@@ -167,6 +171,12 @@ def _replies(
             if named not in answers and named != ANY_VEHICLE:
                 answers |= _replies(session, named, parameters, dropped, timeout_s)
     return answers
+
+
+def _check_is_one(one: FeatureSet | Refusal, other: FeatureSet | Refusal) -> None:
+    """Raise LinkError for sets of two sessions that run at once: whose answer would be taken were chance."""
+    if isinstance(one, FeatureSet) and isinstance(other, FeatureSet) and one.session != other.session:
+        raise LinkError(two_of_one_name(one.vehicle, one.session, other.session))
 
 
 def ask_measured(
@@ -191,10 +201,12 @@ def _asked_set(session: Any, vehicle: str, parameters: str, dropped: DroppedMess
 
 
 def running_session(session: Any, vehicle: str) -> int | None:
-    """The number of a vehicle's session that runs now, as it answers itself; None without an answer or a set."""
+    """The number of a vehicle's session that runs now, as it answers itself; None without an answer or a set, and where
+    two answer.
+    """
     try:
         reply = _replies(session, vehicle, "", DroppedMessages()).get(vehicle)
-    except (zenoh.ZError, WireError):
+    except (zenoh.ZError, WireError, LinkError):
         return None
     return reply.answer.session if reply is not None and isinstance(reply.answer, FeatureSet) else None
 

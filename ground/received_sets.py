@@ -13,7 +13,16 @@ from ground.aircraft_clock import AGREED_S, AHEAD_S, AircraftClock, Moment
 from ground.freshness import STATED_S, Later, Reply, span
 
 SILENT_S = 10.0  # without a set of the session that ran, after which a later one may be the next, though it is doubtful
+AT_ONCE_S = 5.0  # after a session's first picture, from which on another session's newer ones are another aircraft's
 ASK_S, MOST_ASK_S = 5.0, 60.0  # between questions to one vehicle, twice as long each time
+
+
+def two_of_one_name(vehicle: str, session: int, other: int | None) -> str:
+    """Words for two sessions of one name that run at once."""
+    return (
+        f"two aircraft call themselves {vehicle!r} (sessions {session} and {other} run at once): give each a "
+        "vehicle.id of its own"
+    )
 
 
 class ReceivedSets:
@@ -44,6 +53,8 @@ class ReceivedSets:
         self._forget_clocks()
         if s.session != self.history.session:
             self._is_contradicted = True
+            if self._are_two_at_once(s.session, now):
+                return two_of_one_name(self.vehicle, s.session, self.history.session)
             return f"{self.vehicle!r} sends sets of session {s.session}, and {self.history.session} runs"
         self._ran_ns = now.monotonic_ns
         return ""
@@ -136,6 +147,20 @@ class ReceivedSets:
             is_silent = now.monotonic_ns - self._ran_ns > SILENT_S * 1e9
             return clock.is_certain(now) or not is_held_certain or is_silent
         return clock.is_certain(now) and not is_held_certain
+
+    def _are_two_at_once(self, session: int, now: Moment) -> bool:
+        """Return whether a session and the one that runs take pictures at once, by clocks that are certain: an aircraft
+        that began again takes none in the session before.
+        """
+        ages_s: list[tuple[float, float]] = []
+        for number in (session, self.history.session):
+            clock = None if number is None else self._clocks.get(number)
+            span_ns = None if number is None else self.history.span_ns(number)
+            if clock is None or span_ns is None or not clock.is_certain(now):
+                return False
+            ages_s.append((clock.age_s(span_ns[0], now), clock.age_s(span_ns[1], now)))
+        (first_s, newest_s), (its_first_s, its_newest_s) = ages_s
+        return min(first_s - its_newest_s, its_first_s - newest_s) > AT_ONCE_S
 
     def _forget_false(self, session: int, clock: AircraftClock, now: Moment) -> None:
         """Drop the sets stamped in the future, and those that were when they came, though that is past by now."""

@@ -206,3 +206,24 @@ def test_a_mavlink_system_is_the_vehicle_that_it_named_first() -> None:
     assert systems.checked(4, other) is other
     with pytest.raises(ForeignMessage, match="system 3, which is 'uav-1', sends what names 'uav-3'"):
         systems.checked(3, dataclasses.replace(TRUE, vehicle="uav-3"))
+
+
+def test_of_two_aircraft_of_one_name_neither_answers(station: Station) -> None:
+    """A second one with a copy of the first one's card: a click was answered by either, as chance had it."""
+    one, other = station.aircraft("uav-1"), station.aircraft("uav-1")
+    said: list[str] = []
+
+    def is_told() -> bool:
+        one.publish(now(TRUE))
+        other.publish(now(dataclasses.replace(FALSE, session=TRUE.session + 1)))
+        try:
+            ask(station.endpoint, "uav-1", tls=station.tls("anna"))
+        except LinkError as error:
+            said.append(str(error))
+        return any("two aircraft call themselves 'uav-1'" in words for words in said)
+
+    try:
+        assert eventually(is_told), said
+    finally:
+        one.close()
+        other.close()

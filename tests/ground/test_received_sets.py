@@ -289,3 +289,20 @@ def test_invented_names_take_the_place_of_none_that_goes_on_sending() -> None:
         held.of(f"invented {k}")
         assert len(held.values()) <= 10 and "uav-1" in held
     assert held.get("invented 0") is None and held.get("invented 499") == "invented 499"
+
+
+AT_ONCE = "two aircraft call themselves 'uav-1'"
+
+
+def test_two_aircraft_of_one_name_are_told_from_one_that_began_again() -> None:
+    """Both have the default name: the one that began first was left out as an earlier session, without a word."""
+    world = World()
+    said = [world.receive(k + 0.25 * which, session_s=(-500.0, -100.0)[which]) for k in range(20) for which in (0, 1)]
+    assert any(AT_ONCE in words for words in said[20:])
+    assert not any(AT_ONCE in words for words in said[:8])  # a set of the session before may have been under way
+    again = World()
+    for k in range(20):
+        assert again.receive(float(k), session_s=-500.0) == ""
+    late = [again.receive(25.0 + k, session_s=24.0) for k in range(20)]
+    late += [again.receive(45.0 + k, ago_s=30.0, session_s=-500.0) for k in range(5)]  # what a link held back
+    assert not any(AT_ONCE in words for words in late) and ASIDE in late[-1]
