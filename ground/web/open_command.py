@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import hashlib
 import shlex
 import shutil
@@ -38,6 +39,8 @@ UNKNOWN = "NOT KNOWN"  # in the list that an import prints, of values that were 
 DONE, NOTHING_SOLVED = 0, 3
 PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 VIDEO_SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".ts", ".m2ts", ".mts", ".mpg", ".mpeg", ".webm")
+LOG_SUFFIXES = (".bin", ".ulg", ".csv", ".gpx", ".ass", ".srt", ".nmea", ".pos", ".mrk", ".tlog")
+NEAR, ABOVE = ("camera.json", "config.toml", "stamps.csv", "geo.txt"), 2  # what an import finds so far above pictures
 IMPORT = "clock searched"  # how flights are imported now: one that was imported otherwise is not shown again
 
 
@@ -172,15 +175,33 @@ def _logs(args: argparse.Namespace) -> list[Path]:
 
 
 def _name(args: argparse.Namespace, importing: Sequence[str]) -> str:
-    """The name of the flight's folder: another for other files or settings."""
-    files = [args.input, *_logs(args), *([] if args.stamps is None else [args.stamps])]
-    if args.input.is_dir():
-        files += _files_below(args.input)
-    elif not _logs(args):
-        files += sorted(args.input.resolve().parent.iterdir())
+    """The name of the flight's folder: another for other files or settings, and for files that have changed since."""
+    files = [file for path in _read_by_import(args) for file in (_files_below(path) if path.is_dir() else [path])]
     stats = [(str(path), path.stat().st_size, path.stat().st_mtime_ns) for path in files if path.is_file()]
     digest = hashlib.sha256(repr((IMPORT, importing, stats)).encode()).hexdigest()
     return f"{args.input.resolve().stem}-{digest[:8]}"
+
+
+def _read_by_import(args: argparse.Namespace) -> list[Path]:
+    """All files and folders that an import may read, there or not."""
+    place = args.input.resolve()
+    named = [args.input, *_logs(args), *([] if args.stamps is None else [args.stamps]), *_named_in(args.set)]
+    if not _logs(args):  # a log is searched for among what lies with a video, or next to a folder of photographs
+        with contextlib.suppress(OSError):  # of a folder that may not be read nothing is taken
+            named += [file for file in sorted(place.parent.iterdir()) if file.suffix.lower() in LOG_SUFFIXES]
+    above = [place, *place.parents][: ABOVE + 2]
+    return named + [folder / name for folder in above for name in NEAR]
+
+
+def _named_in(settings: Sequence[str]) -> list[Path]:
+    """The files and folders that are the values of settings: a camera file, elevations."""
+    found = []
+    for text in settings:
+        path = Path(text.partition("=")[2].strip().strip("\"'") or ".")
+        with contextlib.suppress(OSError, ValueError):  # of another value
+            if path != Path() and path.exists():
+                found.append(path.resolve())
+    return found
 
 
 def _output(command: Sequence[str]) -> subprocess.CompletedProcess[str]:

@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 
 from ground.web import open_command
+from onboard.telemetry.log_formats import SUFFIXES
 from tests.own_flights import write_named_photographs, write_video
 from tests.rest_long import rest_long
 from tests.scenarios.flights import simulated
@@ -130,6 +131,48 @@ def test_two_logs_reach_the_import_and_name_the_flight(tmp_path: Path, monkeypat
     two, same, single = ([c[i + 1] for i, word in enumerate(c) if word == "--telemetry"] for c in asked)
     assert two == same == [str(one), str(other)] and single == [str(one)]
     assert asked[0][-1] == asked[1][-1] != asked[2][-1]  # the folder of the flight
+
+
+@pytest.mark.parametrize(
+    ("where", "words"),
+    [
+        ("day/flight/00000042.BIN", []), ("day/flight/camera.json", []), ("day/camera.json", []),
+        ("day/flight/stamps.csv", []), ("day/flight/geo.txt", []), ("day/config.toml", []),
+        ("day/flight/photos/camera.json", ["log.tlog"]), ("calibrated.json", ["--set", "camera.file=calibrated.json"]),
+        ("calibrated.json", ["--set", 'camera.file="calibrated.json"']), ("dem/n43.tif", ["--set", "terrain.path=dem"]),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("is_video", [False, True])
+def test_a_flight_is_replayed_again_after_any_file_that_its_import_read_has_changed(
+    where: str, words: list[str], is_video: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A flight that was opened again with a camera file that had been calibrated meanwhile answered by the old one."""
+    monkeypatch.chdir(tmp_path)
+    photos = Path("day/flight/photos")
+    photos.mkdir(parents=True)
+    Path("dem").mkdir()
+    (photos / "1.jpg").write_bytes(b"x")
+    (photos / "1.mp4").write_bytes(b"x")
+    parser = argparse.ArgumentParser()
+    open_command.add_arguments(parser)
+    if is_video and where == "day/flight/00000042.BIN":
+        where = "day/flight/photos/00000042.BIN"  # a video's log lies next to it
+    args = parser.parse_args([str(photos / "1.mp4") if is_video else str(photos), *words])
+
+    def name() -> str:
+        return open_command._name(args, open_command._import_words(args))
+
+    first = name()
+    Path("day/flight/other.txt").write_bytes(b"no log")
+    assert name() == first
+    Path(where).write_bytes(b"one")
+    second = name()
+    Path(where).write_bytes(b"another")
+    assert len({first, second, name()}) == 3
+
+
+def test_what_may_be_a_log_is_known_to_who_opens_a_flight() -> None:
+    assert set(open_command.LOG_SUFFIXES) == set(SUFFIXES)
 
 
 @pytest.mark.long
