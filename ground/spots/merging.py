@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 Session = tuple[str, int]  # vehicle and session: what shares slow errors
 
 GATE = limit(1e-4, 2)  # of the squared distance: one in ten thousand of a thing's own spots begins another
-MOVED = limit(1e-5, 2)  # of what moving explains better than standing, above which a thing has moved
+MOVED = limit(1e-5, 2)  # of twice the logarithm of how much likelier moving is, above which a thing has moved
 MOVES = limit(1e-2, 2)  # of the squared speed of one that has moved over its variance, above which it still does
 UNSEEN_S = 20.0  # after which a moving thing may be anywhere
 SHORT_S = 3.0  # for which what stood may have begun to move
@@ -41,6 +41,7 @@ class _Thing:
     frame: LocalFrame  # of its places
     still: dict[Session, Motion] = field(default_factory=dict)
     moving: dict[Session, Motion] = field(default_factory=dict)
+    evidence: dict[Session, float] = field(default_factory=dict)  # that it has moved
     spots: list[SeenSpot] = field(default_factory=list)
     bests: list[SeenSpot] = field(default_factory=list)
     newest: Spot | None = None
@@ -58,15 +59,19 @@ class _Thing:
 
     @property
     def has_moved(self) -> bool:
-        """True if standing does not explain the places in one of the sessions. (26.7)"""
-        return any(still.misfit - self.moving[of].misfit > MOVED for of, still in self.still.items())
+        """True if it has moved in any of the sessions."""
+        return any(self._has_moved_in(session) for session in self.still)
+
+    def _has_moved_in(self, session: Session) -> bool:
+        """Return whether standing does not explain the places in a session. (26.7)"""
+        return self.evidence[session] > MOVED
 
     @property
     def is_moving(self) -> bool:
-        """True if it has moved and has not come to rest."""
+        """True if it has moved in the newest session and has not come to rest."""
         motion = self.moving[self.last]
         v = motion.velocity_m_s
-        return self.has_moved and float(v @ np.linalg.solve(motion.velocity_covariance, v)) > MOVES
+        return self._has_moved_in(self.last) and float(v @ np.linalg.solve(motion.velocity_covariance, v)) > MOVES
 
     def distance2(self, session: Session, seen: Sighting) -> float:
         """Squared distance of a place from where the thing is, or may have gone. (26.4), (26.6)"""
@@ -74,10 +79,11 @@ class _Thing:
         if held is None:
             return self._distance2_from_others(seen)
         gap_s, moved = seen.at_s - held.at_s, self.moving[session].distance2(seen)
-        if self.has_moved:
-            followed = moved if gap_s <= UNSEEN_S else math.inf
-            # Another session may have seen since where it went.
-            return followed if self.last == session else min(followed, self._distance2_from_others(seen))
+        if self.last != session and self._has_moved_in(self.last):
+            # Another session has seen since where it went.
+            return min(moved if gap_s <= UNSEEN_S else math.inf, self._distance2_from_others(seen))
+        if self._has_moved_in(session):
+            return moved if gap_s <= UNSEEN_S else math.inf
         # It is not yet known whether it moves: for a short while it may have.
         return min(moved, held.distance2(seen)) if gap_s <= SHORT_S else held.distance2(seen)
 
@@ -91,9 +97,11 @@ class _Thing:
         if session not in self.still:
             self.still[session] = Motion(seen, STANDING_SPEED_M_S)
             self.moving[session] = Motion(seen, WALKING_SPEED_M_S)
+            self.evidence[session] = 0.0
             return
-        self.still[session].take(seen)
-        self.moving[session].take(seen)
+        gained, before = self.still[session].take(seen) - self.moving[session].take(seen), self.evidence[session]
+        # What has moved has: where it stands since, its places of before are no mean of.
+        self.evidence[session] = before if before > MOVED else max(before + gained, 0.0)
 
     def merged(self) -> tuple[Array, Array]:
         """Place (2,), m, and covariance (2, 2): of sessions by their whole covariances. (26.8)

@@ -70,7 +70,6 @@ class Motion:
         self._P[4:, 4:] = slow
         self._P[:2, 4:] = self._P[4:, :2] = -slow
         self._shared = np.vstack([first.session_root_m, np.zeros((4, 2))])
-        self.misfit = 0.0  # sum of normalised squared innovations, of two degrees of freedom each
         self.count = 1
 
     def _before(self, seen: Sighting) -> tuple[Array, Array, Array]:
@@ -94,8 +93,10 @@ class Motion:
         innovation, S = self._innovation(seen)
         return float(innovation @ np.linalg.solve(S, innovation))
 
-    def take(self, seen: Sighting) -> None:
-        """One more place of the same thing. (26.2), (26.3)"""
+    def take(self, seen: Sighting) -> float:
+        """One more place of the same thing; returns -2 ln of how likely it was there, but for a constant. (26.2),
+        (26.3)
+        """
         innovation, S = self._innovation(seen)
         state, P, shared = self._before(seen)
         # The gain is that of the part that is estimated; the shared part goes through it.
@@ -106,8 +107,8 @@ class Motion:
         self._P = A @ P @ A.T + K @ seen.own_m2 @ K.T
         self._shared = A @ shared + K @ seen.session_root_m
         self.at_s, self._picture_m2 = max(self.at_s, seen.at_s), seen.picture_m2
-        self.misfit += float(innovation @ np.linalg.solve(S, innovation))
         self.count += 1
+        return float(innovation @ np.linalg.solve(S, innovation)) + float(np.log(np.linalg.det(S)))
 
     @property
     def place_m(self) -> Array:

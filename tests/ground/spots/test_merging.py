@@ -200,6 +200,29 @@ def test_a_walker_is_where_the_newest_session_has_him_whoever_saw_him_go(
         assert count == 1 and max(off) < 2.0
 
 
+def test_who_was_seen_to_walk_once_and_stands_is_one_thing_in_every_later_pass() -> None:
+    merger = SpotMerger()
+    later = flight(3, vehicle="uav-2", begin_s=60.0, interval_s=25.0)  # longer apart than one is looked for who goes
+    for report in [*flight(9).reports(until_30_s, 61), *later.reports(until_30_s, 20)]:
+        merger.add(report)
+    (found,) = merger.things()
+    assert np.hypot(*offset_m(found.place, (39.0, 0.0))) < 6.0 and found.course is not None
+    assert not found.course.is_moving
+
+
+@pytest.mark.parametrize(("interval_s", "pictures"), [(25.0, 24), (5.0, 40)])
+def test_one_who_stands_and_is_seen_now_and_then_has_not_moved_and_stays_one_thing(
+    interval_s: float, pictures: int
+) -> None:
+    """What a walker may have done meanwhile explains any place, and was taken for evidence: he became three."""
+    for seed in range(5):
+        (found,) = merged(standing((3.0, 4.0)), pictures, flight(seed, interval_s=interval_s))
+        assert found.pictures == pictures
+        # The place is that of all pictures, with what they do not share averaged.
+        assert found.place.ellipse.semi_major_m < 0.85 * ROOT_CHI2 * 1.6
+        assert found.course is None or not found.course.is_moving
+
+
 def test_two_sessions_that_contradict_each_other_are_not_averaged() -> None:
     """The other's first picture may agree by chance with a thing from which its others lead away."""
     sure = {"picture_share": 0.3, "session_share": 0.0}
