@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri
 
 from contract.feature_set import Status
 from contract.rotations import exp_so3, log_so3
@@ -33,7 +32,7 @@ from onboard.estimation.window_problem import Outcome, Weighed, WindowProblem, f
 from onboard.estimation.window_request import Noise, Request
 from onboard.geometry.planar_ambiguity import mirrored
 from onboard.geometry.plane_fit import fit_plane
-from onboard.navigation.limits import FALSE_ALARM, SURE_SIGMAS
+from onboard.navigation.limits import RARE, SURE_SIGMAS
 
 Array = NDArray[np.float64]
 
@@ -109,7 +108,7 @@ def _is_far_from_sensors(found: Outcome, has_attitude: bool) -> bool:
     for prior in found.weighed.problem.priors:
         if isinstance(prior, PathPrior) or (has_attitude and isinstance(prior, AttitudePrior)):
             r = prior.evaluate(found.solved.solution.state)[0]
-            if float(r @ r) > float(chdtri(len(r), FALSE_ALARM)):
+            if float(r @ r) - len(r) > RARE:
                 return True
     return False
 

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri
 
 from contract.feature_set import Status
 from onboard.estimation.bundle_adjustment import Problem, Solution
@@ -20,14 +19,13 @@ from onboard.estimation.keyframe import Keyframe, have_attitude
 from onboard.estimation.pixel_noise import fit_of
 from onboard.estimation.window_problem import FIRST_SCALE, Outcome, approximate
 from onboard.geometry.robust import robust_cost
-from onboard.navigation.limits import CLEAR
+from onboard.navigation.limits import CLEAR, RARE
 
 Array = NDArray[np.float64]
 
 CLEAR_SIGMAS = 3.1  # of a difference of two costs, by its own spread: one-sided a thousand to one
 SAME_SIGMAS = 1.0  # of the points' own places, within which two solutions are the same
 EXACT = 1e-6  # of the cost: below a hundredth of a sigma
-MOVED_BY_CHANCE = 1e-9  # that chance makes as much of an explanation
 
 
 def is_far_worse(found: Outcome, other: Explanation) -> bool:
@@ -153,9 +151,9 @@ class Excess:
         """The gain less the one that chance alone is expected to give."""
         return self.gain - self.freedom
 
-    def exceeds_chance(self, explained: float = 0.0) -> bool:
-        """Return whether the gain beyond what another explanation `explained` is too large for chance. (19.3)"""
-        return self.gain - explained > float(chdtri(self.freedom, MOVED_BY_CHANCE))
+    def is_clear(self, other: float = 0.0) -> bool:
+        """Return whether it is beyond chance, and beyond the evidence of another explanation. (19.3)"""
+        return self.evidence - max(other, 0.0) > RARE
 
 
 def excess_of(gain: float, solution: Solution, freedom: int) -> Excess:

@@ -67,8 +67,8 @@ def found(weighed: Weighed) -> Outcome | None:
     tried = _explained(optics, have_attitude(weighed.window.keyframes))
     cause = max(tried, key=lambda name: tried[name].excess.evidence)
     likeliest = tried[cause].excess
-    next_best = max([0.0, *(t.excess.evidence for name, t in tried.items() if name != cause)])
-    is_sure = likeliest.exceeds_chance(next_best) and likeliest.variance < MAX_VARIANCE
+    next_best = max((t.excess.evidence for name, t in tried.items() if name != cause), default=0.0)
+    is_sure = likeliest.is_clear(next_best) and likeliest.variance < MAX_VARIANCE
     if cause == ZOOM and is_sure and doubt.is_oriented:
         moved = float(np.ptp(tried[ZOOM].solution.state.own[:, -1]))
         reason = f"the lens zoomed or refocused: by {np.expm1(moved):.1%} within the window"
@@ -94,8 +94,8 @@ def _doubt(weighed: Weighed) -> Doubt:
     each, common = zoom_scores(weighed)
     return Doubt(
         is_turned=has_attitude and any(i.group in (TILT, HEADING) for i in against),
-        is_file_doubted=common.exceeds_chance() and not window.layout.camera_states,
-        looks_zoomed=each.exceeds_chance(),
+        is_file_doubted=common.is_clear() and not window.layout.camera_states,
+        looks_zoomed=each.is_clear(),
         is_oriented=has_attitude or window.request.previous is not None,
     )
 
@@ -127,7 +127,7 @@ def _by_file(weighed: Weighed, optics: OpenOptics, likeliest: Excess) -> Outcome
     lens = excess_of(2.0 * (closed.cost - optics.lens.cost), optics.lens, len(OPEN_LENS))
     own = optics.solution.state.own.size  # the rows' states
     rows = excess_of(2.0 * (optics.lens.cost - optics.solution.cost), optics.solution, own)
-    if not lens.exceeds_chance() or lens.evidence <= max(likeliest.evidence, rows.evidence):
+    if not lens.is_clear() or lens.evidence <= max(likeliest.evidence, rows.evidence):
         return None
     off = np.expm1(float(optics.lens.state.camera[FOCAL_LENGTH]))
     reason = f"the focal length is {off:+.1%} off the camera file, which states it without error"
