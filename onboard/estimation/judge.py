@@ -1,7 +1,8 @@
 """The judge of explanations: which of two is the likelier by the pictures, and what chance alone would make of one.
 
-What two minima are worth is the difference of one cost, under one noise, (16.8): each window's own noise has grown
-until its residuals fit. An explanation that frees states is held against what chance makes of as many, (19.3).
+An explanation's evidence is twice the fall of one cost, in the variance of the pixels that it leaves, less the states
+that it frees; it counts where that is more than the odds against it beforehand, (16.8), (19.3). All costs compared are
+under one noise: each window's own has grown until its residuals fit.
 """
 
 from __future__ import annotations
@@ -16,7 +17,6 @@ from onboard.estimation.bundle_adjustment import Problem, Solution
 from onboard.estimation.explanations import Explanation
 from onboard.estimation.factors import RangePrior, State
 from onboard.estimation.keyframe import Keyframe, have_attitude
-from onboard.estimation.pixel_noise import fit_of
 from onboard.estimation.window_problem import FIRST_SCALE, Outcome, approximate
 from onboard.geometry.robust import robust_cost
 from onboard.navigation.limits import CLEAR, RARE
@@ -38,7 +38,7 @@ def is_far_worse(found: Outcome, other: Explanation) -> bool:
     problem = found.weighed.problem
     solution = _minimum(problem, other.start, other.window.unweighed.reference_enu_m)
     is_known = solution.converged or have_attitude(other.window.request.keyframes)
-    return is_known and preferred(found.weighed.solution, solution, problem) == 1
+    return is_known and preferred(found.weighed.solution, solution) == 1
 
 
 def likelier(keyframes: tuple[Keyframe, ...], one: Outcome, two: Outcome) -> Outcome:
@@ -59,13 +59,13 @@ def likelier(keyframes: tuple[Keyframe, ...], one: Outcome, two: Outcome) -> Out
         w.solution if w.problem is problem else _minimum(problem, w.solution.state, w.problem.reference_enu_m)
         for w in (one.weighed, two.weighed)
     )
-    which = preferred(first, second, problem)
+    which = preferred(first, second)
     better, worse = (one, two) if which == 1 else (two, one)
     if which and (worse.is_minimum or have_attitude(keyframes)):  # else its cost may fall yet
         return better
     accepted, other = (one, two) if one.solved is not None else (two, one)
-    gain, _ = _log_ratio(first, second, problem)
-    is_dismissed = other.status is Status.POOR_FIT or (gain if accepted is one else -gain) > 0.5 * CLEAR
+    excess = excess_over(second, first) if accepted is one else excess_over(first, second)
+    is_dismissed = other.status is Status.POOR_FIT or excess.evidence > CLEAR
     if other.solved is None and other.is_minimum and is_dismissed:
         return accepted
     # Exactly: the first solves stop so early that one minimum found twice may lie a sigma from itself.
@@ -108,27 +108,14 @@ def _precision(problem: Problem) -> float:
     return pixels + float(np.log(np.abs(np.concatenate(diagonals))).sum())
 
 
-def preferred(one: Solution, two: Solution, problem: Problem) -> int:
-    """Return which of two minima of the same cost is clearly the likelier: 1, 2, or 0 if both fit. (16.8), (16.9)
-
-    In units of the noise that the better one's residuals show, where they show more than was assumed.
-    """
-    (gain, scale), by_point = _log_ratio(one, two, problem), cost_by_point(two) - cost_by_point(one)
-    spread = float(np.linalg.norm(by_point - by_point.mean())) / scale
-    if abs(gain) < max(0.5 * CLEAR, CLEAR_SIGMAS * spread):
+def preferred(one: Solution, two: Solution) -> int:
+    """Return which of two minima of the same cost is clearly the likelier: 1, 2, or 0 if both fit. (16.8), (16.9)"""
+    better, worse = (one, two) if one.cost < two.cost else (two, one)
+    excess, by_point = excess_over(worse, better), 2.0 * (cost_by_point(worse) - cost_by_point(better))
+    spread = float(np.linalg.norm(by_point - by_point.mean())) / excess.variance
+    if excess.evidence < max(CLEAR, CLEAR_SIGMAS * spread):
         return 0
-    return 1 if gain > 0.0 else 2
-
-
-def _log_ratio(one: Solution, two: Solution, problem: Problem) -> tuple[float, float]:
-    """The logarithm of the likelihood ratio of the first to the second, and the better one's noise, its unit."""
-    scale = noise_shown(one if one.cost < two.cost else two, problem)
-    return (two.cost - one.cost) / scale, scale
-
-
-def noise_shown(solution: Solution, problem: Problem) -> float:
-    """The variance that residuals show, in units of what was assumed, at least 1. (6.11)"""
-    return max(fit_of(solution.residual_sigmas, problem.layout), 1.0) ** 2
+    return 1 if better is one else 2
 
 
 def cost_by_point(solution: Solution) -> Array:
@@ -156,10 +143,15 @@ class Excess:
         return self.evidence - max(other, 0.0) > RARE
 
 
-def excess_of(gain: float, solution: Solution, freedom: int) -> Excess:
+def excess_of(gain: float, solution: Solution, freedom: int = 0) -> Excess:
     """A gain in variances of the solution's pixels: robust cost per measurement that is left over."""
     seen = np.isfinite(solution.residual_sigmas)
     # Each measurement has two coordinates; a point takes three freedoms, a pose six.
     left = 2 * int(np.count_nonzero(seen)) - 3 * seen.shape[1] - 6 * len(seen)
     variance = max(2.0 * float(cost_by_point(solution).sum()) / max(left, 1), 1.0)
     return Excess(gain / variance, freedom, variance)
+
+
+def excess_over(other: Solution, solution: Solution, freedom: int = 0) -> Excess:
+    """The excess of a solution over another one's cost."""
+    return excess_of(2.0 * (other.cost - solution.cost), solution, freedom)

@@ -25,7 +25,7 @@ from onboard.estimation.explanations import (
     zoomed,
 )
 from onboard.estimation.factors import SHIFT, ZOOM
-from onboard.estimation.judge import Excess, excess_of
+from onboard.estimation.judge import Excess, excess_of, excess_over
 from onboard.estimation.keyframe import have_attitude
 from onboard.estimation.sensor_groups import contradictions, innovations
 from onboard.estimation.sensor_table import HEADING, TILT
@@ -115,7 +115,7 @@ def _explained(optics: OpenOptics, has_attitude: bool) -> dict[str, Tried]:
 def try_one(optics: OpenOptics, explanation: Explanation) -> Tried:
     """Solve a window under an explanation; it gains nothing if its image states are impossible."""
     solution = explanation.solved()
-    excess = excess_of(2.0 * (optics.solution.cost - solution.cost), solution, explanation.freedom)
+    excess = excess_over(optics.solution, solution, explanation.freedom)
     # States far outside what they may be bend to wrong tracks, and explain nothing.
     is_possible = explanation.name == ATTITUDE or explanation.is_possible(solution)
     return Tried(solution, excess if is_possible else replace(excess, gain=0.0))
@@ -124,9 +124,8 @@ def try_one(optics: OpenOptics, explanation: Explanation) -> Tried:
 def _by_file(weighed: Weighed, optics: OpenOptics, likeliest: Excess) -> Outcome | None:
     """The refusal of a lens that stopped elsewhere than its file, which admits no error, has it."""
     closed = optics.closed.weighed(optics.noise, weighed.solution.state).solution
-    lens = excess_of(2.0 * (closed.cost - optics.lens.cost), optics.lens, len(OPEN_LENS))
-    own = optics.solution.state.own.size  # the rows' states
-    rows = excess_of(2.0 * (optics.lens.cost - optics.solution.cost), optics.solution, own)
+    lens = excess_over(closed, optics.lens, len(OPEN_LENS))
+    rows = excess_over(optics.lens, optics.solution, optics.solution.state.own.size)
     if not lens.is_clear() or lens.evidence <= max(likeliest.evidence, rows.evidence):
         return None
     off = np.expm1(float(optics.lens.state.camera[FOCAL_LENGTH]))

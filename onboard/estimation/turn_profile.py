@@ -17,7 +17,7 @@ from contract.feature_set import Status
 from contract.rotations import exp_so3, log_so3, right_jacobian_inverse
 from onboard.estimation.bundle_adjustment import Problem, Solution
 from onboard.estimation.factors import Layout, Prior, State
-from onboard.estimation.judge import noise_shown, preferred
+from onboard.estimation.judge import excess_over, preferred
 from onboard.estimation.keyframe import Keyframe, have_attitude
 from onboard.estimation.solved_window import Solved
 from onboard.estimation.window_acceptance import MAX_ROTATION_SIGMA_DEG, MIN_AHEAD, heading_unknown, share_below
@@ -84,14 +84,13 @@ def by_profile(keyframes: tuple[Keyframe, ...], found: Outcome) -> tuple[Outcome
 
 def _turns(found: Weighed, axis_enu: Array, angles_rad: Array) -> tuple[Solution, list[tuple[float, Solution]]]:
     """The minimum as it is; and of turns that are not clearly unlikelier, (16.8), the width each shows, and its own."""
-    problem, there = found.problem, _held(found, axis_enu, 0.0) or found.solution
-    scale, possible = noise_shown(there, problem), []
+    there, possible = _held(found, axis_enu, 0.0) or found.solution, []
     for angle_rad in angles_rad:
         held = _held(found, axis_enu, float(angle_rad))
-        if held is None or (held.converged and preferred(there, held, problem) == 1):
+        if held is None or (held.converged and preferred(there, held) == 1):
             continue
-        risen = max((held.cost - there.cost) / scale, 1e-6)
-        possible.append((float(2.0 * abs(np.sin(0.5 * angle_rad)) / np.sqrt(2.0 * risen)), held))
+        risen = max(excess_over(held, there).gain, 2e-6)
+        possible.append((float(2.0 * abs(np.sin(0.5 * angle_rad)) / np.sqrt(risen)), held))
     return there, possible
 
 
