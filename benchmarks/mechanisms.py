@@ -99,7 +99,7 @@ def _no_profile(keyframes: Any, found: Any) -> tuple[Any, None]:
 
 
 def _no_zoom(weighed: Any) -> tuple[judge.Excess, judge.Excess]:
-    nothing = judge.Excess(0.0, 1, 1.0)
+    nothing = judge.excess_of(0.0, weighed.solution, 1)
     return nothing, nothing
 
 

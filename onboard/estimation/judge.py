@@ -125,13 +125,14 @@ def cost_by_point(solution: Solution) -> Array:
     return out
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Excess:
     """Twice the fall of the cost under an explanation (in variances of the pixels), and how many states it frees."""
 
     gain: float
     freedom: int
     variance: float  # of the pixels under the explanation, in the one they were weighted by; at least 1
+    solution: Solution
 
     @property
     def evidence(self) -> float:
@@ -149,7 +150,7 @@ def excess_of(gain: float, solution: Solution, freedom: int = 0) -> Excess:
     # Each measurement has two coordinates; a point takes three freedoms, a pose six.
     left = 2 * int(np.count_nonzero(seen)) - 3 * seen.shape[1] - 6 * len(seen)
     variance = max(2.0 * float(cost_by_point(solution).sum()) / max(left, 1), 1.0)
-    return Excess(gain / variance, freedom, variance)
+    return Excess(gain / variance, freedom, variance, solution)
 
 
 def excess_over(other: Solution, solution: Solution, freedom: int = 0) -> Excess:

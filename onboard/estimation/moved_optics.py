@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from contract.feature_set import Status
-from onboard.estimation.bundle_adjustment import Solution, solve
+from onboard.estimation.bundle_adjustment import solve
 from onboard.estimation.camera_states import FOCAL_LENGTH
 from onboard.estimation.explanations import (
     ATTITUDE,
@@ -50,14 +50,6 @@ class Doubt:
         return self.is_turned or self.is_file_doubted or (self.is_oriented and self.looks_zoomed)
 
 
-@dataclass(frozen=True, eq=False)
-class Tried:
-    """An explanation's solution, and its excess over the window's solution without it."""
-
-    solution: Solution
-    excess: Excess
-
-
 def found(weighed: Weighed) -> Outcome | None:
     """The refusal of a window in which the optics changed; None if nothing did. `weighed` is its first solve."""
     doubt = _doubt(weighed)
@@ -65,9 +57,9 @@ def found(weighed: Weighed) -> Outcome | None:
         return None
     optics = open_optics(weighed)
     tried = _explained(optics, have_attitude(weighed.window.keyframes))
-    cause = max(tried, key=lambda name: tried[name].excess.evidence)
-    likeliest = tried[cause].excess
-    next_best = max((t.excess.evidence for name, t in tried.items() if name != cause), default=0.0)
+    cause = max(tried, key=lambda name: tried[name].evidence)
+    likeliest = tried[cause]
+    next_best = max((t.evidence for name, t in tried.items() if name != cause), default=0.0)
     is_sure = likeliest.is_clear(next_best) and likeliest.variance < MAX_VARIANCE
     if cause == ZOOM and is_sure and doubt.is_oriented:
         moved = float(np.ptp(tried[ZOOM].solution.state.own[:, -1]))
@@ -100,25 +92,25 @@ def _doubt(weighed: Weighed) -> Doubt:
     )
 
 
-def _explained(optics: OpenOptics, has_attitude: bool) -> dict[str, Tried]:
+def _explained(optics: OpenOptics, has_attitude: bool) -> dict[str, Excess]:
     """Try every explanation that the window's sensors allow, by name."""
     tried = {ZOOM: try_one(optics, zoomed(optics))}
     if has_attitude:
         tried[ATTITUDE] = try_one(optics, attitude_aside(optics))
         tried[SHIFT] = try_one(optics, shifted(optics, tried[ATTITUDE].solution.state))
-        if max(tried, key=lambda name: tried[name].excess.evidence) == SHIFT:
+        if max(tried, key=lambda name: tried[name].evidence) == SHIFT:
             again = try_one(optics, attitude_aside_as_shifted(optics, tried[SHIFT].solution.state))
-            tried[ATTITUDE] = max(tried[ATTITUDE], again, key=lambda t: t.excess.gain)
+            tried[ATTITUDE] = max(tried[ATTITUDE], again, key=lambda t: t.gain)
     return tried
 
 
-def try_one(optics: OpenOptics, explanation: Explanation) -> Tried:
-    """Solve a window under an explanation; it gains nothing if its image states are impossible."""
+def try_one(optics: OpenOptics, explanation: Explanation) -> Excess:
+    """The excess of a window's solution under an explanation; no gain if its image states are impossible."""
     solution = explanation.solved()
     excess = excess_over(optics.solution, solution, explanation.freedom)
     # States far outside what they may be bend to wrong tracks, and explain nothing.
     is_possible = explanation.name == ATTITUDE or explanation.is_possible(solution)
-    return Tried(solution, excess if is_possible else replace(excess, gain=0.0))
+    return excess if is_possible else replace(excess, gain=0.0)
 
 
 def _by_file(weighed: Weighed, optics: OpenOptics, likeliest: Excess) -> Outcome | None:

@@ -116,7 +116,7 @@ def test_the_score_of_a_small_change_is_nearly_what_it_explains() -> None:
     weighed = window.weighed(request.noise, window.state)
     score, _ = zoom_scores(weighed)
     optics = open_optics(weighed)
-    assert score.gain == pytest.approx(try_one(optics, by_zoom(optics)).excess.gain, rel=0.3)
+    assert score.gain == pytest.approx(try_one(optics, by_zoom(optics)).gain, rel=0.3)
 
 
 def test_a_single_picture_that_fits_nothing_is_no_zoom() -> None:
