@@ -6,7 +6,7 @@ same with the attitude set aside: the explanation with the largest excess is the
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -35,41 +35,34 @@ MOVED = (Status.STABILISED, Status.ZOOMED)
 MAX_VARIANCE = 3.0  # of pixels, above which an explanation leaves too much to explain anything
 
 
-@dataclass(frozen=True, eq=False)
-class Doubt:
-    """The signs that a window's optics moved, as its first solve shows them."""
-
-    is_turned: bool  # the attitudes contradict the pictures
-    is_file_doubted: bool  # all pictures share another focal length than the camera file, which admits no error
-    looks_zoomed: bool
-    is_oriented: bool  # pictures that are turned wrong look zoomed: a start without attitude may be anywhere
-
-    @property
-    def is_any(self) -> bool:
-        """True if the explanations are to be weighed."""
-        return self.is_turned or self.is_file_doubted or (self.is_oriented and self.looks_zoomed)
-
-
 def found(weighed: Weighed) -> Outcome | None:
-    """The refusal of a window in which the optics changed; None if nothing did. `weighed` is its first solve."""
-    doubt = _doubt(weighed)
-    if not doubt.is_any:
+    """The refusal of a window in which the optics changed; None if nothing did. `weighed` is its first solve.
+
+    Every window is asked for the signs that its first solve shows; the explanations are weighed where there is one.
+    """
+    window, has_attitude = weighed.window, have_attitude(weighed.window.keyframes)
+    each, common = zoom_scores(weighed)
+    is_turned = has_attitude and _is_attitude_contradicted(weighed)
+    is_file_doubted = common.is_clear() and not window.layout.camera_states  # of a file that admits no error
+    # Pictures that are turned wrong look zoomed, and a start without attitude may be anywhere.
+    is_oriented = has_attitude or window.request.previous is not None
+    if not (is_turned or is_file_doubted or (is_oriented and each.is_clear())):
         return None
     optics = open_optics(weighed)
-    tried = _explained(optics, have_attitude(weighed.window.keyframes))
+    tried = _explained(optics, has_attitude)
     cause = max(tried, key=lambda name: tried[name].evidence)
     likeliest = tried[cause]
     next_best = max((t.evidence for name, t in tried.items() if name != cause), default=0.0)
     is_sure = likeliest.is_clear(next_best) and likeliest.variance < MAX_VARIANCE
-    if cause == ZOOM and is_sure and doubt.is_oriented:
-        moved = float(np.ptp(tried[ZOOM].solution.state.own[:, -1]))
+    if cause == ZOOM and is_sure and is_oriented:
+        moved = float(np.ptp(likeliest.solution.state.own[:, -1]))
         reason = f"the lens zoomed or refocused: by {np.expm1(moved):.1%} within the window"
         return replace(_refused(weighed, Status.ZOOMED, reason), lens_moved=moved)
     # A frame that is shifted to hide a rotation contradicts the attitude; one that does not has hidden nothing.
-    if cause == SHIFT and is_sure and doubt.is_turned:
+    if cause == SHIFT and is_sure and is_turned:
         reason = "the frame is shifted from picture to picture (stabilisation)"
         return _refused(weighed, Status.STABILISED, reason)
-    return _by_file(weighed, optics, likeliest) if doubt.is_file_doubted else None
+    return _by_file(weighed, optics, likeliest) if is_file_doubted else None
 
 
 def _refused(weighed: Weighed, status: Status, reason: str) -> Outcome:
@@ -77,19 +70,11 @@ def _refused(weighed: Weighed, status: Status, reason: str) -> Outcome:
     return Outcome(status, window.keyframes, window.request.noise, weighed=weighed, reason=reason)
 
 
-def _doubt(weighed: Weighed) -> Doubt:
-    """Look for the signs by the first solve alone: every window is asked for them."""
-    window, s = weighed.window, weighed.solution
-    has_attitude = have_attitude(window.keyframes)
-    groups = weighed.noise.factors.groups
+def _is_attitude_contradicted(weighed: Weighed) -> bool:
+    """Return whether tilt or heading contradicts the pictures and the other sensors. (13.4)"""
+    s, groups = weighed.solution, weighed.noise.factors.groups
     against = contradictions(innovations(weighed.problem.priors, s.state, s.covariance, groups))
-    each, common = zoom_scores(weighed)
-    return Doubt(
-        is_turned=has_attitude and any(i.group in (TILT, HEADING) for i in against),
-        is_file_doubted=common.is_clear() and not window.layout.camera_states,
-        looks_zoomed=each.is_clear(),
-        is_oriented=has_attitude or window.request.previous is not None,
-    )
+    return any(i.group in (TILT, HEADING) for i in against)
 
 
 def _explained(optics: OpenOptics, has_attitude: bool) -> dict[str, Excess]:
