@@ -6,15 +6,14 @@ the camera by tens of degrees. So each hypothesis predicts, from the vehicle's o
 come to lie in the next pictures, and the one that predicts them best is selected once it is clearly ahead.
 
 Pictures that come rarely, of a camera that a gimbal holds level under a leaning aircraft, move nearly as with a fixed
-mount. But a window's solve with the wrong attitudes contradicts its positions: where the accepted hypothesis is
-refused, the window is solved again by every other, and one that alone fits, several keyframes in a row, is selected.
-A selection that windows or tracks contradict afterwards is open again. What was seen meanwhile is kept: only the
-attitudes are exchanged.
+mount. But a window's solve with the wrong attitudes contradicts its positions: while nothing is solved the window is
+solved by every hypothesis, and one that alone fits is ahead of the others by as much more. A selection that windows or
+tracks contradict afterwards is open again. What was seen meanwhile is kept: only the attitudes are exchanged.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -30,7 +29,7 @@ from onboard.estimation.window_problem import Outcome
 from onboard.estimation.window_request import Noise, Request
 from onboard.geometry.plane_homography import Pose, predict_pixels
 from onboard.navigation.gimbal import MountHypothesis
-from onboard.navigation.limits import MOST_OF
+from onboard.navigation.limits import CLEAR, MOST_OF
 from onboard.navigation.navigator import Navigation, NavState
 from onboard.pipeline.record_book import Record
 from onboard.vision.klt_tracker import PREDICTED_SHARE
@@ -43,7 +42,6 @@ MEMORY = 0.97  # decay of the cost per picture: about the last thirty count
 LEAD = 20.0  # by which the cost of one hypothesis must be below all others
 SAME_RAD = 0.05  # hypotheses this close need no decision
 REFUSALS = 3  # windows in a row that do not fit by the hypothesis that was selected
-WINS = 2  # solves in a row that only one other hypothesis fits
 
 
 def cost_of(
@@ -69,8 +67,7 @@ class MountSelection:
         self._scores: dict[MountHypothesis, float] = {}
         self._trials: dict[MountHypothesis, Promise] = {}
         self._noise: dict[MountHypothesis, Noise] = {}  # as earlier windows have found it by each hypothesis
-        self._leader: MountHypothesis | None = None  # of trials
-        self._wins = self._refused = 0
+        self._refused = 0
         self.verdict: MountHypothesis | None = None
 
     def is_open(self, nav: NavState) -> bool:
@@ -106,9 +103,14 @@ class MountSelection:
             poses = [Pose((n.mount_hypotheses[hypothesis] @ self._R_body_cam).T, n.position_enu_m) for n in (was, now)]
             cost = cost_of(camera, poses, plane, from_px, to_px)
             self._scores[hypothesis] = MEMORY * self._scores.get(hypothesis, 0.0) + cost
-        best = min(both, key=lambda c: self._scores[c])
-        others = [c for c in both if _differ((attitudes[c], attitudes[best]))]
-        if others and min(self._scores[c] for c in others) - self._scores[best] > LEAD:
+        self._decide({c: attitudes[c] for c in both})
+
+    def _decide(self, attitudes: Mapping[MountHypothesis, Array]) -> None:
+        """Select the one of these hypotheses that is clearly ahead of all that differ from it, if one is."""
+        scores = {c: self._scores.get(c, 0.0) for c in attitudes}
+        best = min(scores, key=lambda c: scores[c])
+        others = [scores[c] for c in attitudes if _differ((attitudes[c], attitudes[best]))]
+        if others and min(others) - scores[best] > LEAD:
             self.verdict = best
 
     def contradicted(self, nav: NavState) -> None:
@@ -117,8 +119,7 @@ class MountSelection:
         A gimbal may report the attitude of its power-up first, or none of its own: what was seen then decides nothing.
         """
         if self.verdict is not None and _differ(nav.mount_hypotheses.values()):
-            self.verdict = self._leader = None
-            self._wins = self._refused = 0
+            self.verdict, self._refused = None, 0
             self._scores, self._noise = {}, {}
 
     def _follow_refusals(self, outcome: Outcome) -> None:
@@ -151,20 +152,16 @@ class MountSelection:
         self._trials = {}
         self._noise |= {hypothesis: each.outcome.noise for hypothesis, each in done.items()}
         spent_s = sum(each.processor_s for each in done.values())
-        fitting = [hypothesis for hypothesis, each in done.items() if each.outcome.status is Status.OK]
         held = outcome.keyframes[-1].nav.mount_hypotheses
-        if outcome.status is not Status.POOR_FIT or not fitting or _differ(held[c] for c in fitting):
-            self._leader, self._wins = None, 0
+        fitting = [held[hypothesis] for hypothesis, each in done.items() if each.outcome.status is Status.OK]
+        if self.verdict is None and outcome.status is Status.POOR_FIT and fitting and not _differ(fitting):
+            for hypothesis, R in held.items():
+                if _differ((R, fitting[0])):
+                    self._scores[hypothesis] = self._scores.get(hypothesis, 0.0) + CLEAR
+            self._decide(held)
+        if self.verdict not in done or not carry_over(window, records, navigation, self.verdict):
             return outcome, spent_s
-        leader = self._leader if self._leader in fitting else fitting[0]
-        self._wins = self._wins + 1 if leader is self._leader else 1
-        self._leader = leader
-        # The pictures' motion may contradict it by less than would decide for another.
-        is_possible = self._scores.get(leader, 0.0) - min(self._scores.values(), default=0.0) <= LEAD
-        if self._wins < WINS or not is_possible or not carry_over(window, records, navigation, leader):
-            return outcome, spent_s
-        self.verdict = leader
-        return done[leader].outcome, spent_s
+        return done[self.verdict].outcome, spent_s
 
 
 def _differ(attitudes: Iterable[Array]) -> bool:
