@@ -135,6 +135,16 @@ class ClickedPixel:
 
 
 @dataclass(frozen=True, eq=False)
+class Swing:
+    """How the camera was turned at K moments before its picture: what sets that come seldom do not show. Section 31."""
+
+    before_s: Array  # (K,) before the capture, rising
+    turned_cam_rad: (
+        Array  # (K, 3) rotation vectors, camera axes: R_enu_cam exp(turned) then, at the middle row's moment
+    )
+
+
+@dataclass(frozen=True, eq=False)
 class FeatureSet:
     """One picture's pose, features and covariances. With `status` other than OK, everything after it may be empty."""
 
@@ -167,6 +177,7 @@ class FeatureSet:
     # None: all rows at once. Else the pose and the features' pixels are those of the middle row's moment.
     shutter: RollingShutter | None = None
     clicked: ClickedPixel | None = None  # in an answer to a question for a pixel
+    swing: Swing | None = None  # since the set that was sent before, over a link that carries few
 
     def __len__(self) -> int:
         return len(self.inverse_depth_per_m)

@@ -219,6 +219,26 @@ class Locator:
         r, variance = self._kriging.predict_each(xy[None])
         return float(r[0]), math.sqrt(max(float(variance[0]), 0.0))
 
+    def met_from(self, from_enu_m: Array, rays_enu: Array) -> Array:
+        """Where rays (K, 3) of unit depth that begin elsewhere (K, 3) meet the ground of this picture, both from its
+        camera, east, north, up, m: (K, 3), nan towards the horizon. Beyond the features the plane stands for it. (31.6)
+        """
+        s = self.feature_set
+        normal = s.R_enu_cam @ s.plane_per_m[[1, 2, 0]]
+        below = rays_enu @ normal
+        is_met, relative = below > self._plane_floor, np.ones(len(rays_enu))
+        met = np.full((len(rays_enu), 3), np.nan)
+        for _ in range(GROUND_STEPS):
+            share = (1.0 / relative - from_enu_m @ normal) / np.where(is_met, below, 1.0)
+            met = from_enu_m + share[:, None] * rays_enu
+            at = met @ s.R_enu_cam
+            is_ahead = at[:, 2] > 0.0
+            xy = at[:, :2] / np.where(is_ahead, at[:, 2], 1.0)[:, None]
+            is_known = is_met & is_ahead & (distances_outside(self._hull, xy) <= self._max_outside)
+            relative = np.where(is_known, np.maximum(1.0 + self._kriging.values(xy), MIN_PLANE_SHARE), 1.0)
+        met[~(is_met & (share > 0.0))] = np.nan
+        return met
+
     def answers(self, uv_px: ArrayLike) -> Answers:
         """Many pixels (M, 2) at once, each by itself."""
         uv = np.asarray(uv_px, float)

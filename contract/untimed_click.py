@@ -19,6 +19,8 @@ from contract.camera import Camera
 from contract.feature_set import FeatureSet, Status
 from contract.geodesy import LocalFrame
 from contract.locate import MAX_ELLIPSE_SHARE, Locator
+from contract.rolling_shutter import row_share
+from contract.rotations import exp_so3
 
 Array = NDArray[np.float64]
 
@@ -29,6 +31,7 @@ MOST_GAP_S = 8.0  # from the moment to a picture that is asked because there are
 # The time over which an aircraft's swinging stays correlated: planes of recorded autopilots nod at 0.85 Hz most, where
 # this process's spectrum has fallen to a quarter. Sets a second apart cannot show it.
 SWING_S = 0.3
+APART_S = 0.1  # nearer to a set, a moment between two would make a motion of the difference of their errors
 ROUNDING = 1e-9  # of a correlation
 MOMENTS, MOMENT_WEIGHTS = np.polynomial.hermite_e.hermegauss(9)  # of a normal error of one sigma
 FEW = "too few pictures around the click: how far its place moves with the video's delay is not known"
@@ -59,17 +62,26 @@ def locate_untimed(
     late_s = np.array([(s.capture_unix_ns - moment_unix_ns) / 1e9 for s in near])
     scale_s = max(sigma_s, float(np.min(np.abs(late_s))), 1e-3)
     weights = np.exp(-0.5 * (late_s / scale_s) ** 2)
-    answers = [Locator(s).locate(pixel_at(s.camera, share)) for s in near]
+    locators = [Locator(s) for s in near]
+    answers = [locator.locate(pixel_at(locator.feature_set.camera, share)) for locator in locators]
     answered = np.array([isinstance(answer, Fix) for answer in answers])
     middle = answers[int(np.argmin(np.abs(late_s)))]
     if float(np.sum(weights[answered])) <= 0.5 * float(np.sum(weights)):
         refusals = [k for k, answer in enumerate(answers) if isinstance(answer, Refusal)]
-        nearest = min(refusals, key=lambda k: abs(late_s[k]))
-        return UntimedClick(middle if isinstance(middle, Refusal) else answers[nearest], nothing)
+        instead = min(refusals, key=lambda k: abs(late_s[k]))
+        return UntimedClick(middle if isinstance(middle, Refusal) else answers[instead], nothing)
     fixes = [answer for answer in answers if isinstance(answer, Fix)]
     if len(fixes) < 2 and sigma_s > 0.0:
         return UntimedClick(Refusal(Status.STALE, detail=FEW), nothing)
-    return _joined(fixes, late_s[answered], weights[answered], sigma_s)
+    late_s, weights = late_s[answered], weights[answered]
+    nearest = fixes[int(np.argmin(np.abs(late_s)))]
+    frame = LocalFrame(nearest.lat_deg, nearest.lon_deg, _height_m(nearest))
+    placed = [locator for locator, is_placed in zip(locators, answered, strict=True) if is_placed]
+    at_sets = np.array([frame.to_enu(fix.lat_deg, fix.lon_deg, _height_m(fix)) for fix in fixes])
+    between, moments_s = _between(placed, late_s, share, frame)
+    moved = _moved(np.concatenate([at_sets, between]), np.concatenate([late_s, moments_s]), sigma_s)
+    covariance = np.average([fix.covariance_enu_m2 for fix in fixes], axis=0, weights=weights)
+    return _answer(nearest, frame, moved, covariance)
 
 
 def _around(sets: Sequence[FeatureSet], moment_unix_ns: int, sigma_s: float) -> list[FeatureSet]:
@@ -91,18 +103,53 @@ def pixel_at(camera: Camera, share: tuple[float, float]) -> tuple[float, float]:
     return share[0] * camera.width_px - 0.5, share[1] * camera.height_px - 0.5
 
 
-def _joined(fixes: list[Fix], late_s: Array, weights: Array, sigma_s: float) -> UntimedClick:
-    """The place at the moment, by those of the pictures around it. (31.2) to (31.5)"""
-    nearest = fixes[int(np.argmin(np.abs(late_s)))]
-    frame = LocalFrame(nearest.lat_deg, nearest.lon_deg, _height_m(nearest))
-    places = np.array([frame.to_enu(fix.lat_deg, fix.lon_deg, _height_m(fix)) for fix in fixes])
-    moved = _moved(places, late_s, sigma_s)
+def _between(
+    locators: list[Locator], late_s: Array, share: tuple[float, float], frame: LocalFrame
+) -> tuple[Array, Array]:
+    """A pixel's places (M, 3) in `frame` at moments (M,) between sets that state how the camera was turned then. (31.6)
+
+    Where the camera was is interpolated between the sets, for an aircraft's path bends little within seconds.
+    """
+    places, moments_s = [np.zeros((0, 3))], [np.zeros(0)]
+    cameras = np.array([frame.to_enu(o.frame.lat_deg, o.frame.lon_deg, o.frame.height_m) for o in locators])
+    gaps_s = np.diff(late_s)
+    if not len(gaps_s) or np.min(gaps_s) <= 0.0:
+        return places[0], moments_s[0]
+    velocities = np.gradient(cameras, late_s, axis=0)
+    for k, gap_s in enumerate(gaps_s):
+        s = locators[k + 1].feature_set
+        if s.swing is None:
+            continue
+        is_between = s.swing.before_s < gap_s - APART_S
+        before_s, turned = s.swing.before_s[is_between], exp_so3(s.swing.turned_cam_rad[is_between])
+        u_v = np.asarray(pixel_at(s.camera, share))
+        rays = turned @ s.camera.unproject(u_v[None])[0][0] @ s.R_enu_cam.T
+        moved = _cubic(cameras[k : k + 2], velocities[k : k + 2] * gap_s, 1.0 - before_s / gap_s) - cameras[k + 1]
+        met = locators[k + 1].met_from(moved, rays)
+        # A row's pixel was seen before the picture's moment, or after it: in a picture of another moment.
+        row_s = 0.0 if s.shutter is None else s.shutter.readout_s * float(row_share(u_v[1], s.camera.height_px))
+        is_met = np.isfinite(met[:, 0])
+        places.append(cameras[k + 1] + met[is_met])
+        moments_s.append(late_s[k + 1] - before_s[is_met] - row_s)
+    return np.concatenate(places), np.concatenate(moments_s)
+
+
+def _cubic(ends: Array, by_end: Array, shares: Array) -> Array:
+    """Places (K, 3) at shares (K,) of the way between two ends (2, 3) of derivatives `by_end` by the share. (31.6)"""
+    u = shares[:, None]
+    v = 1.0 - u
+    from_first = v * v * ((1.0 + 2.0 * u) * ends[0] + u * by_end[0])
+    return np.asarray(from_first + u * u * ((1.0 + 2.0 * v) * ends[1] - v * by_end[1]), np.float64)
+
+
+def _answer(nearest: Fix, frame: LocalFrame, moved: _Moved, of_sets_m2: Array) -> UntimedClick:
+    """The place at the moment, with the error (3, 3) of the pictures around it. (31.5)"""
     if Ellipse.from_covariance(moved.between_m2[:2, :2]).semi_major_m > MAX_ELLIPSE_SHARE * abs(
         nearest.offset_enu_m[2]
     ):
         return UntimedClick(Refusal(Status.UNCERTAIN, detail=SWINGS), np.zeros((3, 3)))
     by_delay = moved.by_moment_m2 + moved.between_m2
-    covariance = np.average([fix.covariance_enu_m2 for fix in fixes], axis=0, weights=weights) + by_delay
+    covariance = of_sets_m2 + by_delay
     lat, lon, height_m = (float(c) for c in frame.to_geodetic(moved.place_m))
     higher_m = height_m - _height_m(nearest)
     answer = replace(

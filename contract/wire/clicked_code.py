@@ -11,6 +11,7 @@ from contract.feature_set import ClickedPixel, Measured
 from contract.wire.byte_cursor import ByteCursor
 from contract.wire.covariance_code import sigma_code, sigma_from_code
 
+NO_PIXEL = b"\0"
 _WORD = struct.Struct("<B")  # 0: no clicked pixel, else 1 more than the word's code
 _PIXEL = struct.Struct("<ff")
 _DEPTH = struct.Struct("<fH")

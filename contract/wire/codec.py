@@ -1,7 +1,7 @@
 """FeatureSet <-> bytes. docs/wire-format.md is the specification; section numbers below are its own.
 
-`encode` writes version 4.0, of a fisheye 5.0, with a clicked pixel 4.1 and 5.1, and sorts features by row; what
-`decode` returns encodes to the same bytes again.
+`encode` writes version 4.0, of a fisheye 5.0, with a clicked pixel 4.1 and 5.1, with a swing 4.2 and 5.2, and sorts
+features by row; what `decode` returns encodes to the same bytes again.
 """
 
 from __future__ import annotations
@@ -17,15 +17,18 @@ from contract.errors import CorruptPayload, NewerPayload, TruncatedPayload
 from contract.feature_set import COMMON_STATES, DepthSource, FeatureSet, HeightDatum, Status
 from contract.lens import FISHEYE, MODELS, PINHOLE
 from contract.wire.byte_cursor import ByteCursor
-from contract.wire.clicked_code import decode_clicked, encode_clicked
+from contract.wire.clicked_code import NO_PIXEL, decode_clicked, encode_clicked
 from contract.wire.common_code import common_from_numbers, common_numbers, shared_codes, shared_from_codes
 from contract.wire.covariance_code import sigma_code, sigma_from_code
 from contract.wire.feature_code import feature_numbers, features_from_numbers
 from contract.wire.geometry_code import decode_shutter, encode_shutter, pose_from_numbers, pose_numbers
 from contract.wire.number_code import decode_numbers, encode_numbers
+from contract.wire.swing_code import decode_swing, encode_swing
 
 MAGIC = b"PC"
-MAJORS, MINOR = {PINHOLE: 4, FISHEYE: 5}, 1  # a ground that knows no fisheye refuses its sets by their version
+MAJORS = {PINHOLE: 4, FISHEYE: 5}  # a ground that knows no fisheye refuses its sets by their version
+CLICKED_MINOR, SWING_MINOR = 1, 2  # the first that have these
+MINOR = SWING_MINOR  # the newest that is read whole
 MAX_VEHICLE_BYTES = 32
 
 # Section 2: magic, version, length, flags, status, session, frame, revision, capture time, vehicle's length.
@@ -82,21 +85,20 @@ def encode(feature_set: FeatureSet) -> bytes:
             raise ValueError(f"{name} must be between 0 and {256**bytes_ - 1}, not {value}")
     camera = _rounded(s.camera)
     flags = _KEYFRAME * s.is_keyframe | _DISTORTED * any(camera.distortion)
-    body = vehicle + _encode_camera(camera)
+    body, minor, appended = vehicle + _encode_camera(camera), *_appended(s, camera)
     if s.is_ok:
         flags |= _POSED | (_ELLIPSOID if s.height_datum is HeightDatum.ELLIPSOID else 0)
         flags |= _SOURCES.index(s.depth_source) << _SOURCE_SHIFT
         flags |= 0 if math.isnan(s.undulation_m) else _UNDULATION
         flags |= 0 if s.shutter is None else _ROLLING
-        body += _encode_geometry(s, camera)
-        body += b"" if s.clicked is None else encode_clicked(s.clicked, camera)
-    elif s.clicked is not None:
-        raise ValueError(f"a set with status {s.status.value!r} carries no clicked pixel")
+        body += _encode_geometry(s, camera) + appended
+    elif appended:
+        raise ValueError(f"a set with status {s.status.value!r} carries neither a clicked pixel nor a swing")
     elif len(s):
         raise ValueError(f"a set with status {s.status.value!r} carries no features, this one has {len(s)}")
     head = _HEAD.pack(
         MAGIC,
-        MAJORS[camera.model] << 4 | (0 if s.clicked is None else MINOR),
+        MAJORS[camera.model] << 4 | minor,
         _HEAD.size + len(body) + _CRC.size,
         flags,
         s.status.code,
@@ -107,6 +109,14 @@ def encode(feature_set: FeatureSet) -> bytes:
         len(vehicle),
     )
     return head + body + _CRC.pack(zlib.crc32(head + body))
+
+
+def _appended(s: FeatureSet, camera: Camera) -> tuple[int, bytes]:
+    """The minor version that a set needs, and what it has behind its features. Sections 6.1 and 6.2"""
+    clicked = b"" if s.clicked is None else encode_clicked(s.clicked, camera)
+    if s.swing is None:
+        return CLICKED_MINOR * bool(clicked), clicked
+    return SWING_MINOR, (clicked or NO_PIXEL) + encode_swing(s.swing)
 
 
 def decode(payload: bytes) -> FeatureSet:
@@ -123,7 +133,8 @@ def decode(payload: bytes) -> FeatureSet:
     vehicle = _vehicle(cursor, vehicle_bytes)
     camera = _decode_camera(cursor, _MODELS[version >> 4], bool(flags & _DISTORTED))
     geometry = _decode_geometry(cursor, camera, flags) if flags & _POSED else {}
-    clicked = decode_clicked(cursor, camera) if version & 15 and geometry else None
+    clicked = decode_clicked(cursor, camera) if version & 15 >= CLICKED_MINOR and geometry else None
+    swing = decode_swing(cursor) if version & 15 >= SWING_MINOR and geometry else None
     if version & 15 <= MINOR and cursor.position != cursor.end:
         raise CorruptPayload(f"{cursor.end - cursor.position} bytes are left over")
     status = _status(status_code)
@@ -139,6 +150,7 @@ def decode(payload: bytes) -> FeatureSet:
         revision=revision,
         is_keyframe=bool(flags & _KEYFRAME),
         clicked=clicked,
+        swing=swing,
         **geometry,
     )
 

@@ -65,6 +65,7 @@ from onboard.link.reply import (
 )
 from onboard.link.set_selection import REPEAT_S, Offer, Selection
 from onboard.link.socket_backlog import Backlog
+from onboard.link.swings import Swings
 
 MAX_WAITING_QUERIES = 16
 REPLIES = (Kind.REPLY, Kind.REPORT)  # the first is answered first
@@ -155,6 +156,7 @@ class Publisher:
         connect_bytes = CONNECT_BYTES if tls is None else SECURE_CONNECT_BYTES
         self._budget = Budget(rate.max_bit_rate, rate.min_rate_hz, rate.max_rate_hz, time.monotonic(), connect_bytes)
         self._backlog, self._most_backlog = Backlog(), max(BACKLOG_S * rate.max_bit_rate / 8.0, BACKLOG_BYTES)
+        self._swings = Swings()
         self._selection: Selection[bytes] = Selection(min(REPEAT_S, 1.0 / rate.min_rate_hz))
         self._queries: deque[_Waiting] = deque()
         self._parked: list[_Parked] = []
@@ -232,7 +234,11 @@ class Publisher:
         s = feature_set
         if s.vehicle != self._vehicle:
             raise ValueError(f"a set of {s.vehicle!r} cannot be published as {self._vehicle!r}")
-        packet = one_packet(s, payload)
+        with self._changed:
+            before_ns = self._selection.sent_before_ns(s.capture_unix_ns)
+            self._swings.add(s)
+            swing = None if before_ns is None else self._swings.since(before_ns, s)
+        packet = one_packet(s, payload) if swing is None else one_packet(replace(s, swing=swing))
         offer = Offer(s.session, s.frame, s.revision, s.capture_unix_ns, s.is_ok, s.is_keyframe, packet)
         with self._changed:
             self._history.add(s, packet, runs=True)  # what is made now is of the session that runs

@@ -124,6 +124,10 @@ class Selection(Generic[T]):
         if self._refusal is not None and self._refusal.capture_unix_ns <= self._sent_ns:
             self._refusal = None
 
+    def sent_before_ns(self, capture_unix_ns: int) -> int | None:
+        """The capture of the last picture before this one whose answering set was sent; None if nothing is known."""
+        return max((at for at in self._known_ns.values() if at < capture_unix_ns), default=None)
+
     def _keep_for_later(self, o: Offer[T]) -> None:
         held = self._rest.get(o.frame)
         if held is None or held.revision <= o.revision:

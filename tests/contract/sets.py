@@ -8,7 +8,16 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from contract.camera import Camera
-from contract.feature_set import COMMON_STATES, NUISANCES, DepthSource, FeatureSet, HeightDatum, SharedErrors, Status
+from contract.feature_set import (
+    COMMON_STATES,
+    NUISANCES,
+    DepthSource,
+    FeatureSet,
+    HeightDatum,
+    SharedErrors,
+    Status,
+    Swing,
+)
 from contract.lens import FISHEYE, PINHOLE
 from contract.rolling_shutter import RollingShutter
 from contract.rotations import exp_so3
@@ -114,6 +123,9 @@ def feature_sets(draw: st.DrawFn) -> FeatureSet:
     rolling = RollingShutter(
         float(rng.uniform(-1.0, 1.0)), rng.uniform(-16.0, 16.0, 3), rng.uniform(-320.0, 320.0, 3), float(rng.uniform())
     )
+    moments = draw(st.integers(1, 31))
+    turned = rng.normal(size=(moments, 3)) * draw(st.sampled_from([0.0, 1e-5, 0.1, 1.0]))
+    swing = Swing(np.cumsum(rng.uniform(0.012, 2.0, moments)), turned)
     plane = rng.normal(size=3) * draw(st.sampled_from([0.0, 0.004, 1.0]))
     w = 10.0 ** rng.uniform(-5.0, 0.0, n)
     relative = 10.0 ** rng.uniform(-5.0, 0.0) * np.exp(rng.normal(0.0, 0.3, n))
@@ -136,5 +148,6 @@ def feature_sets(draw: st.DrawFn) -> FeatureSet:
         inverse_depth_per_m=w,
         sigma_inverse_depth_per_m=np.maximum(w * relative, 1e-9),
         shutter=draw(st.sampled_from([None, rolling])),
+        swing=draw(st.sampled_from([None, swing])),
         **identity,
     )

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from contract.camera import Camera
 from contract.errors import CorruptPayload, NewerPayload, TruncatedPayload, WireError
-from contract.feature_set import FeatureSet, SharedErrors, Status
+from contract.feature_set import FeatureSet, SharedErrors, Status, Swing
 from contract.rolling_shutter import RollingShutter
 from contract.rotations import log_so3
 from contract.wire import codec
@@ -19,8 +19,13 @@ from contract.wire.feature_code import _plane_inverse_depth
 from tests.contract.sets import feature_sets, plain_set
 
 PAYLOAD = encode(plain_set())
+DEPTHS = "inverse_depth_per_m", "sigma_inverse_depth_per_m"
 GOLDEN = Path(__file__).parent / "golden"
-KINDS = [PAYLOAD, *((GOLDEN / f"{n}.bin").read_bytes() for n in ("a_hundred_features", "rolling_shutter"))]
+KINDS = [PAYLOAD, *((GOLDEN / f"{n}.bin").read_bytes() for n in ("a_hundred_features", "rolling_shutter", "swing"))]
+
+
+SWING = Swing(np.array([0.21, 0.4]), np.array([[0.1, -0.05, 0.0], [0.002, 0.03, -0.01]]))
+NO_FEATURES = {name: getattr(plain_set(0), name) for name in ("uv_px", *DEPTHS)}
 
 
 def with_checksum(content: bytes) -> bytes:
@@ -203,7 +208,7 @@ def test_a_longer_payload_than_its_header_says_is_corrupt() -> None:
 
 
 def test_a_newer_minor_version_is_read_and_what_it_appends_is_skipped() -> None:
-    content = PAYLOAD[:2] + bytes([0x40 + codec.MINOR + 1]) + PAYLOAD[3:-4] + b"\0news from the future"
+    content = PAYLOAD[:2] + bytes([0x40 + codec.MINOR + 1]) + PAYLOAD[3:-4] + b"\0\0news from the future"
     assert_same(decode(with_checksum(content)), decode(PAYLOAD))
 
 
@@ -236,6 +241,17 @@ def test_a_set_of_a_rolling_shutter_takes_18_bytes_more() -> None:
     np.testing.assert_allclose(got.velocity_cam_m_s, shutter.velocity_cam_m_s, atol=0.005)
     refused = encode(FeatureSet("uav-1", 5, 6, 7, Status.TURNING, plain.camera, shutter=shutter))
     assert refused[2] == 0x40 and decode(refused).shutter is None
+
+
+@given(feature_sets().filter(lambda s: s.swing is not None))
+def test_a_swing_is_rounded_to_4_ms_and_to_a_64th_of_its_largest_turn_and_takes_4_bytes_a_moment(s: FeatureSet) -> None:
+    payload, swing = encode(s), s.swing
+    got = decode(payload).swing
+    assert swing is not None and got is not None and payload[2] & 15 == 2
+    assert len(payload) - len(encode(dataclasses.replace(s, swing=None))) == 2 + 4 * len(swing.before_s)
+    np.testing.assert_allclose(got.before_s, swing.before_s, atol=0.004001)
+    step = max(np.abs(swing.turned_cam_rad).max() / 63.5, 2.0**-11)
+    np.testing.assert_allclose(got.turned_cam_rad, swing.turned_cam_rad, atol=0.501 * step)
 
 
 @pytest.mark.parametrize(
@@ -277,7 +293,14 @@ def test_a_set_of_a_rolling_shutter_takes_18_bytes_more() -> None:
         ({"sigma_inverse_depth_per_m": np.array([0.1])}, "disagree"),
         ({"uv_px": np.array([[1.0, 1.0], [640.0, 1.0]])}, "feature 1 is off"),
         ({"uv_px": np.array([[1.0, 1.0], [np.nan, 1.0]])}, "feature 1 is off"),
+        ({"swing": Swing(np.zeros(0), np.zeros((0, 3)))}, "a swing has 1 to 31 moments"),
+        ({"swing": Swing(np.array([0.2]), np.full((1, 3), np.nan))}, "a swing has 1 to 31 moments"),
+        ({"swing": Swing(np.array([0.2, 0.2]), np.zeros((2, 3)))}, "a swing's moments must rise"),
+        ({"swing": Swing(np.array([0.2, 2.5]), np.zeros((2, 3)))}, "a swing's moments must rise"),
+        ({"swing": Swing(np.array([np.inf]), np.zeros((1, 3)))}, "a swing's moments must rise"),
+        ({"swing": Swing(np.array([0.2]), np.full((1, 3), 8.0))}, "a swing turns by 7.9 rad at most"),
         ({"status": Status.TURNING}, "carries no features"),
+        ({"status": Status.TURNING, **NO_FEATURES, "swing": SWING}, "carries neither a clicked pixel nor a swing"),
     ],
 )
 def test_what_cannot_be_written_is_refused_by_name(change: dict[str, object], message: str) -> None:
@@ -292,5 +315,5 @@ def test_more_features_than_a_byte_counts_are_refused() -> None:
 
 
 def test_the_version_on_the_wire_is_the_documented_one() -> None:
-    assert (codec.MAJORS, codec.MINOR) == ({"pinhole": 4, "fisheye": 5}, 1)
+    assert (codec.MAJORS, codec.MINOR) == ({"pinhole": 4, "fisheye": 5}, 2)
     assert PAYLOAD[:3] == b"PC\x40"  # without a clicked pixel it is what 4.0 reads

@@ -1,4 +1,4 @@
-"""The wire format of versions 4.0, 4.1 and 5.0, frozen: golden bytes next to what they mean."""
+"""The wire format of versions 4.0, 4.1, 4.2 and 5.0, frozen: golden bytes next to what they mean."""
 
 import dataclasses
 import json
@@ -35,7 +35,8 @@ def assert_close(got: Any, want: Any, where: str) -> None:
 def test_there_are_golden_payloads_of_every_kind() -> None:
     clicked = ["measured_pixel", "unmeasured_pixel"]
     plain = ["a_hundred_features", "plane_only", "refused", "rolling_shutter", "twelve_features"]
-    assert sorted(NAMES) == sorted([*plain, *clicked, "fisheye"])
+    assert sorted(NAMES) == sorted([*plain, *clicked, "fisheye", "swing"])
+    assert (GOLDEN / "swing.bin").read_bytes()[2] == 0x42
     assert (GOLDEN / "fisheye.bin").read_bytes()[2] == 0x50
     assert {(GOLDEN / f"{name}.bin").read_bytes()[2] for name in plain} == {0x40}
     assert {(GOLDEN / f"{name}.bin").read_bytes()[2] for name in clicked} == {0x41}
@@ -143,3 +144,16 @@ def test_a_clicked_pixel_is_appended_where_a_reader_of_4_0_skips_it() -> None:
     assert measured[5:-19] == unmeasured[5:-13] == plain[5:-4]
     assert struct.unpack_from("<Bff", measured, len(measured) - 19) == (1, 300.5, 211.25)
     assert struct.unpack_from("<Bff", unmeasured, len(unmeasured) - 13) == (6, 300.5, 211.25)
+
+
+def test_a_swing_is_appended_where_readers_of_4_0_and_4_1_skip_it() -> None:
+    """Section 6.2: a first byte that states no clicked pixel, then how many moments and the step, then four each."""
+    swing = (GOLDEN / "swing.bin").read_bytes()
+    plain = encode(dataclasses.replace(decode(swing), swing=None))
+    assert plain[2] == 0x40 and len(swing) - len(plain) == 18
+    assert swing[5:-22] == plain[5:-4]
+    assert (swing[-22], swing[-21]) == (0, 4 | 2 << 5)
+    assert struct.unpack_from("<4b", swing, len(swing) - 20) == (25, 3, -40, 1)  # of 8 ms; of 2**-9 rad
+    want = json.loads((GOLDEN / "swing.json").read_text())["swing"]
+    assert want["turned_cam_rad"][1] == [-9 / 512, -64 / 512, 0.0]
+    assert want["before_s"] == pytest.approx([0.2, 0.4, 0.6, 0.8])

@@ -3,6 +3,7 @@
 import copy
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -10,8 +11,14 @@ import pytest
 
 from contract.answer import Fix
 from contract.feature_set import FeatureSet, Status
-from contract.untimed_click import UntimedClick, locate_untimed
-from tests.onboard.tracks.flat_world import CAMERA, EPOCH_NS, M_PX, PLACE, RATE_HZ, World
+from contract.rolling_shutter import RollingShutter
+from contract.rotations import exp_so3, log_so3
+from contract.untimed_click import UntimedClick, locate_untimed, pixel_at
+from contract.wire.codec import decode, encode
+from onboard.link.swings import Swings
+from tests.onboard.tracks.flat_world import CAMERA, EPOCH_NS, LOOKING_DOWN, M_PX, PLACE, RATE_HZ, World
+
+Array = np.ndarray[tuple[int, ...], np.dtype[np.float64]]
 
 SPEED_M_S, SIGMA_S = 8.0, 0.3
 POSE_ERROR_M = np.array([0.8, -0.5])  # of every set of that world; one sigma of it is stated as 1 m
@@ -117,6 +124,141 @@ def test_what_swings_between_two_sets_a_second_apart_is_in_the_ellipse() -> None
     assert len(inside) >= 50
     assert np.mean(np.array(inside) < 1.0) >= 0.9 and max(inside) < 3.0**2
     assert np.mean(np.array(inside) < 0.5**2) < 0.9  # nor is it wider than it need be
+
+
+class Nodding:
+    """A plane in wind, seen obliquely: it nods by some 4 degrees at 0.9 Hz, rolls and yaws more slowly, and climbs."""
+
+    def __init__(self, seed: int, calm: float = 1.0, readout_s: float = 0.0) -> None:
+        rng = np.random.default_rng([seed, 2])
+        self._size_rad = calm * np.radians(rng.uniform([3.0, 1.0, 1.0], [5.0, 4.0, 3.0]))
+        self._turning = 2.0 * math.pi * rng.uniform([0.8, 0.3, 0.1], [0.9, 0.6, 0.3])
+        self._phase, self._readout_s = rng.uniform(0.0, 2.0 * math.pi, 3), readout_s
+
+    def pose(self, t: float) -> tuple[Array, Array]:
+        """The camera's place (3,), east, north, up, and R_enu_cam."""
+        nod, roll, yaw = self._size_rad * np.sin(self._turning * t + self._phase)
+        tilted = exp_so3([0.0, 0.0, yaw]) @ LOOKING_DOWN @ exp_so3([0.5 + nod, 0.0, 0.0]) @ exp_so3([0.0, roll, 0.0])
+        return np.array([18.0 * t, 20.0 * math.sin(0.2 * t), 150.0 + 0.5 * t]), tilted
+
+    def place(self, t: float, share: tuple[float, float]) -> Array:
+        """The ground (2,) at a share of the picture whose middle row is exposed then."""
+        u, v = pixel_at(CAMERA, share)
+        centre, R_enu_cam = self.pose(t + self._readout_s * ((v + 0.5) / CAMERA.height_px - 0.5))
+        ray = R_enu_cam @ [(u - CAMERA.cx_px) / CAMERA.fx_px, (v - CAMERA.cy_px) / CAMERA.fy_px, 1.0]
+        return np.asarray(centre[:2] - ray[:2] * centre[2] / ray[2], float)
+
+    def its_set(self, number: int, error_m: Array, error_rad: Array) -> FeatureSet:
+        """The set of a picture, ten of them a second; the errors of its pose are as stated: 1 m and 0.5 degrees."""
+        centre, R_true = self.pose(number / RATE_HZ)
+        R_enu_cam = exp_so3(error_rad) @ R_true
+        lat, lon, height = PLACE.to_geodetic(centre + [*error_m, 0.0])
+        a, b, c = (R_enu_cam.T @ [0.0, 0.0, -1.0 / centre[2]])[[2, 0, 1]]
+        later = self.pose(number / RATE_HZ + 1e-3)
+        rate = log_so3(R_true.T @ later[1]) * 1e3
+        moving = RollingShutter(self._readout_s, rate, R_true.T @ (later[0] - centre) * 1e3)
+        covariance = np.diag([1.0, 1.0, 0.0, *[math.radians(0.5) ** 2] * 3, 0.0, 0.0, 0.0])
+        place = {"camera_lat_deg": float(lat), "camera_lon_deg": float(lon), "camera_height_m": float(height)}
+        return replace(
+            world().its_set(number), **place, R_enu_cam=R_enu_cam, plane_per_m=np.array([a, b, c]),
+            shutter=moving if self._readout_s else None, common_cov=covariance,
+        )  # fmt: skip
+
+
+def nodding_click(
+    seed: int, sigma_s: float = 0.1, every: int = 10, calm: float = 1.0, readout_s: float = 0.0
+) -> tuple[Nodding, list[FeatureSet], tuple[float, float], float, float]:
+    """A flight, its sets of every so many pictures as they come over a link, and a click: its share, when what it means
+    was shown, and when it seems to have been.
+    """
+    flight, rng = Nodding(seed, calm, readout_s), np.random.default_rng([seed, 3])
+    share = float(rng.uniform(0.2, 0.8)), float(rng.uniform(0.2, 0.8))
+    shown_s = 40.0 + float(rng.uniform(0.0, 1.0))
+    errors = rng.normal(0.0, 1.0, 2), rng.normal(0.0, math.radians(0.5), 3)
+    swings, sets = Swings(), list[FeatureSet]()
+    for number in range(320, 430):
+        made = flight.its_set(number, *errors)
+        swings.add(made)
+        if number % every == 0:
+            swing = swings.since(sets[-1].capture_unix_ns, made) if sets else None
+            sets.append(decode(encode(replace(made, swing=swing))))
+    return flight, sets, share, shown_s, shown_s + float(rng.normal(0.0, sigma_s))
+
+
+def ellipses_off(flight: Nodding, found: UntimedClick, share: tuple[float, float], shown_s: float) -> float:
+    """The error in its own 90 % ellipses."""
+    assert isinstance(found.answer, Fix)
+    where = PLACE.to_enu(found.answer.lat_deg, found.answer.lon_deg, found.answer.height_amsl_m or 0.0)[:2]
+    error = where - flight.place(shown_s, share)
+    return math.sqrt(float(error @ np.linalg.solve(found.answer.covariance_enu_m2[:2, :2], error)) / 4.605)
+
+
+@pytest.mark.parametrize(
+    ("seeds", "inside"),
+    [
+        pytest.param(range(24), (0.75, 1.0), id="some"),
+        pytest.param(range(100, 260), (0.85, 0.97), id="many", marks=pytest.mark.long),
+    ],
+)
+def test_nodding_that_sets_a_second_apart_do_not_show_is_stated_by_them_and_the_ellipse_holds(
+    seeds: range, inside: tuple[float, float]
+) -> None:
+    """By sets alone 86 % were inside, 2.4 ellipses off at most, and those half as long again."""
+    off, lengths_m, without_m, refused = [], [], [], 0
+    for seed in seeds:
+        flight, sets, share, shown_s, seems_s = nodding_click(seed)
+        found = locate_untimed(sets, share, at_ns(seems_s), 0.1)
+        bare = locate_untimed([replace(s, swing=None) for s in sets], share, at_ns(seems_s), 0.1).answer
+        if not isinstance(found.answer, Fix):
+            refused += 1
+            continue
+        off.append(ellipses_off(flight, found, share, shown_s))
+        if isinstance(bare, Fix):
+            lengths_m.append(found.answer.ellipse.semi_major_m)
+            without_m.append(bare.ellipse.semi_major_m)
+    assert refused <= 0.05 * len(seeds)
+    assert inside[0] <= np.mean(np.array(off) < 1.0) <= inside[1] and max(off) < 2.5
+    assert np.median(lengths_m) < 0.8 * np.median(without_m)
+
+
+def test_a_calm_flight_s_ellipse_is_no_longer_by_what_its_sets_state() -> None:
+    ratios = []
+    for seed in range(8):
+        _, sets, share, _, seems_s = nodding_click(seed, calm=0.05)
+        both = (sets, [replace(s, swing=None) for s in sets])
+        with_it, without = (locate_untimed(of, share, at_ns(seems_s), 0.1).answer for of in both)
+        assert isinstance(with_it, Fix) and isinstance(without, Fix)
+        ratios.append(with_it.ellipse.semi_major_m / without.ellipse.semi_major_m)
+    assert np.median(ratios) <= 1.03
+
+
+@pytest.mark.parametrize("readout_s", [0.0, 0.06], ids=["all rows at once", "rolling"])
+def test_where_the_moment_is_known_the_place_between_two_sets_is_that_of_then(readout_s: float) -> None:
+    """Within a metre, of a camera whose pixel sways by 20 m; each row is seen at its own moment."""
+    for seed in range(5):
+        flight, sets, share, shown_s, _ = nodding_click(seed, readout_s=readout_s)
+        exact = [flight.its_set(s.frame, np.zeros(2), np.zeros(3)) for s in sets]
+        true = [replace(e, swing=s.swing) for e, s in zip(exact, sets, strict=True)]
+        found = locate_untimed(true, share, at_ns(shown_s), 0.0).answer
+        assert isinstance(found, Fix)
+        where = PLACE.to_enu(found.lat_deg, found.lon_deg, found.height_amsl_m or 0.0)[:2]
+        assert np.linalg.norm(where - flight.place(shown_s, share)) < 1.5
+
+
+@pytest.mark.long
+def test_a_set_that_was_lost_or_comes_besides_does_no_harm() -> None:
+    """A gap of two seconds is half known; two that state nearly the same moment make no motion of their errors."""
+    off = []
+    for seed in range(40):
+        flight, sets, share, shown_s, seems_s = nodding_click(seed)
+        rng = np.random.default_rng([seed, 4])
+        few = [s for s in sets if rng.uniform() > 0.3]
+        more = [replace(flight.its_set(s.frame - 4, rng.normal(0.0, 0.5, 2), rng.normal(0.0, 0.003, 3))) for s in few]
+        for there in (few, few + more[::3]):
+            found = locate_untimed(there, share, at_ns(seems_s), 0.1)
+            if isinstance(found.answer, Fix):
+                off.append(ellipses_off(flight, found, share, shown_s))
+    assert len(off) >= 30 and max(off) < 3.0 and np.mean(np.array(off) < 1.0) >= 0.8
 
 
 def test_a_camera_that_swings_too_much_between_its_pictures_is_refused() -> None:

@@ -12,13 +12,14 @@ from typing import Any
 import numpy as np
 
 from contract.camera import Camera
-from contract.feature_set import ClickedPixel, DepthSource, FeatureSet, HeightDatum, Measured, Status
+from contract.feature_set import ClickedPixel, DepthSource, FeatureSet, HeightDatum, Measured, Status, Swing
 from contract.lens import FISHEYE
 from contract.rolling_shutter import RollingShutter
 from contract.wire.codec import decode, encode
 from tests.contract.sets import DISTORTION, FISHEYE_DISTORTION, plain_set
 
 FISHEYE_CAMERA = Camera(640, 480, 330.0, 333.0, 322.0, 236.0, FISHEYE_DISTORTION, FISHEYE)
+SWING = Swing(np.array([0.2, 0.4, 0.6, 0.8]), np.array([[3, -40, 1], [-9, -64, 0], [0, 1, -2], [5, 45, 0]]) / 512.0)
 HERE = Path(__file__).parent
 
 
@@ -49,6 +50,7 @@ def cases() -> dict[str, FeatureSet]:
         "unmeasured_pixel": dataclasses.replace(
             plain_set(12, seed=6), clicked=ClickedPixel(300.5, 211.25, Measured.REPEATED)
         ),
+        "swing": dataclasses.replace(plain_set(12, seed=6), swing=SWING),
         "refused": FeatureSet("uav-1", 5, 6, 1_525_226_625_500_000_000, Status.LOW_PARALLAX, plain.camera, revision=1),
     }
 
