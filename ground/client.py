@@ -201,9 +201,7 @@ def _asked_set(session: Any, vehicle: str, parameters: str, dropped: DroppedMess
 
 
 def running_session(session: Any, vehicle: str) -> int | None:
-    """The number of a vehicle's session that runs now, as it answers itself; None without an answer or a set, and where
-    two answer.
-    """
+    """The number of a vehicle's session that runs now, as it answers itself; None without one answer or a set."""
     try:
         reply = _replies(session, vehicle, "", DroppedMessages()).get(vehicle)
     except (zenoh.ZError, WireError, LinkError):

@@ -211,19 +211,19 @@ def test_a_mavlink_system_is_the_vehicle_that_it_named_first() -> None:
 def test_of_two_aircraft_of_one_name_neither_answers(station: Station) -> None:
     """A second one with a copy of the first one's card: a click was answered by either, as chance had it."""
     one, other = station.aircraft("uav-1"), station.aircraft("uav-1")
-    said: list[str] = []
+    reasons: list[str] = []
 
-    def is_told() -> bool:
+    def is_refused() -> bool:
         one.publish(now(TRUE))
         other.publish(now(dataclasses.replace(FALSE, session=TRUE.session + 1)))
         try:
             ask(station.endpoint, "uav-1", tls=station.tls("anna"))
         except LinkError as error:
-            said.append(str(error))
-        return any("two aircraft call themselves 'uav-1'" in words for words in said)
+            reasons.append(str(error))
+        return any("two aircraft call themselves 'uav-1'" in words for words in reasons)
 
     try:
-        assert eventually(is_told), said
+        assert eventually(is_refused), reasons
     finally:
         one.close()
         other.close()

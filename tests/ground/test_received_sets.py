@@ -294,12 +294,14 @@ def test_invented_names_take_the_place_of_none_that_goes_on_sending() -> None:
 AT_ONCE = "two aircraft call themselves 'uav-1'"
 
 
-def test_two_aircraft_of_one_name_are_told_from_one_that_began_again() -> None:
+def test_two_aircraft_of_one_name_are_known_from_one_that_began_again() -> None:
     """Both have the default name: the one that began first was left out as an earlier session, without a word."""
     world = World()
-    said = [world.receive(k + 0.25 * which, session_s=(-500.0, -100.0)[which]) for k in range(20) for which in (0, 1)]
-    assert any(AT_ONCE in words for words in said[20:])
-    assert not any(AT_ONCE in words for words in said[:8])  # a set of the session before may have been under way
+    words_of = [
+        world.receive(k + 0.25 * which, session_s=(-500.0, -100.0)[which]) for k in range(20) for which in (0, 1)
+    ]
+    assert any(AT_ONCE in words for words in words_of[20:])
+    assert not any(AT_ONCE in words for words in words_of[:8])  # a set of the session before may have been under way
     again = World()
     for k in range(20):
         assert again.receive(float(k), session_s=-500.0) == ""
