@@ -27,6 +27,7 @@ from ground.formats.mark import Mark
 from ground.formats.rounded import rounded_text
 from ground.freshness import MAX_AGE_S
 from ground.link_options import UsageError, add_tls_arguments, tls_of
+from ground.pins.already_here import without_known
 from ground.pins.file import chosen_store
 from ground.pins.fusion import Vector
 from ground.pins.model import Category, Pin, PinClick, category_of
@@ -261,7 +262,8 @@ def _measure(store: PinStore, args: argparse.Namespace) -> int:
 
 def _import(store: PinStore, args: argparse.Namespace) -> int:
     found = read_pins(args.file, args.format, args.who)
-    taken = store.bring_in(found.pins, who=args.who, crops=found.crops)
+    new = without_known(found.pins, store.pins(), Places(store))
+    taken = store.bring_in(new, who=args.who, crops=found.crops)
     known = len(found.pins) - taken
     notes = [f"{known} were here already"] if known else []
     notes += [f"{found.left_out} things that are no points were left out"] if found.left_out else []

@@ -11,6 +11,7 @@ from contract.errors import InputError
 from ground.formats.coordinate_text import read_coordinate
 from ground.formats.documents import read_pins_of
 from ground.formats.rounded import rounded_text
+from ground.pins.already_here import without_known
 from ground.pins.model import MAX_WHO
 from ground.web.context import ServerContext
 from ground.web.dependency import Context
@@ -46,7 +47,8 @@ async def bring_in(
 
 def _import(context: ServerContext, name: str, data: bytes, who: str) -> dict[str, Any]:
     found = read_pins_of(name, data, who=who)
-    count = context.store.bring_in(found.pins, who=who, crops=found.crops)
+    new = without_known(found.pins, context.store.pins(), context.places)
+    count = context.store.bring_in(new, who=who, crops=found.crops)
     if count:
         context.changed()
     return {
