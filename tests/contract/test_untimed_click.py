@@ -153,7 +153,7 @@ class Nodding:
         centre, R_true = self.pose(number / RATE_HZ)
         R_enu_cam = exp_so3(error_rad) @ R_true
         lat, lon, height = PLACE.to_geodetic(centre + [*error_m, 0.0])
-        a, b, c = (R_enu_cam.T @ [0.0, 0.0, -1.0 / centre[2]])[[2, 0, 1]]
+        a, b, c = (R_true.T @ [0.0, 0.0, -1.0 / centre[2]])[[2, 0, 1]]  # as parallax shows it
         later = self.pose(number / RATE_HZ + 1e-3)
         rate = log_so3(R_true.T @ later[1]) * 1e3
         moving = RollingShutter(self._readout_s, rate, R_true.T @ (later[0] - centre) * 1e3)
