@@ -6,7 +6,8 @@ Each flight is 10 s at 200 m above a world with edges (simulation/raster.py), 64
 a second; the whole pipeline makes the sets. Clicked are pixels of pictures in the middle of the flight, in their last
 sets, with all pictures kept: on roofs and trees, on ground within 6 m of them, and on open ground. Errors are without
 what all answers of a picture share: along the true ray, less the three modes of inverse depth that the set's own
-features show against the truth (9.4). `inside`: share within 1.645 of the stated own sigma (90 %), `> 3`: beyond three;
+features show against the truth (9.4), those on one even surface: of one at an edge the truth at its pixel may be the
+other surface's. `inside`: share within 1.645 of the stated own sigma (90 %), `> 3`: beyond three;
 how well the features show those modes is added to it.
 
 A scene is `LOOK-GROUND`, or `LOOK-GROUND-FAULT`: `lost` 30 % of the pictures, `h264` at 2 Mbit/s (of 30 pictures a
@@ -59,6 +60,7 @@ PITCH_DEG = {"down": -90.0, "ahead": -45.0}
 PICTURES = 6  # that are clicked
 NEAR_M = 6.0
 KINDS = ("roofs, trees", "ground near them", "open ground")
+HALF_PX = 7.0  # of the window that a feature is found by
 SHARE_GOAL, MS_GOAL = 0.85, 15.0
 
 
@@ -213,23 +215,45 @@ def shared_of(truth: Truth, frame: int, s: FeatureSet) -> tuple[Array, Array]:
     """The modes (3,) of relative inverse depth by which a set's features are off together, weighted as they state their
     errors, and the modes' own covariance (3, 3) by what is left.
 
-    What lies three sigmas off the others is left out: corners of roofs.
+    Only features on an even surface count, and of these not what lies three sigmas off the others: a corner of a roof
+    is tracked as it is, but the truth at its pixel may be the ground's next to it.
     """
-    points = truth.ground(frame, s.uv_px)
-    depth_m = ((points.enu_m - truth.poses[frame].centre_m) @ truth.poses[frame].R_enu_cam)[:, 2]
+    depth_m = depths(truth, frame, s.uv_px)
     off = s.inverse_depth_per_m * depth_m - 1.0
     sigma = s.sigma_inverse_depth_per_m / s.inverse_depth_per_m
     H = np.column_stack([np.ones(len(s)), s.camera.unproject(s.uv_px)[0][:, :2]])
     modes: Array = np.zeros(3)
-    used, spread = points.is_valid, 1.0
+    even = unevenness(truth, frame, s.uv_px) < sigma
+    used, spread = even, 1.0
     for _ in range(10):
         whitened = H[used] / sigma[used, None]
         modes = np.asarray(np.linalg.lstsq(whitened, off[used] / sigma[used], rcond=None)[0], float)
         left = np.abs(off - H @ modes) / sigma
-        spread = max(1.0, 1.483 * float(np.median(left[points.is_valid])))
-        used = points.is_valid & (left < 3.0 * spread)
+        spread = max(1.0, 1.483 * float(np.median(left[even])))
+        used = even & (left < 3.0 * spread)
     whitened = H[used] / (spread * sigma[used, None])
     return modes, np.asarray(np.linalg.inv(whitened.T @ whitened), float)
+
+
+def unevenness(truth: Truth, frame: int, uv: Array) -> Array:
+    """By how much of itself the inverse depth about pixels (N, 2) is off a plane at most (N,); infinite where the
+    window that a feature is found by reaches beyond the ground.
+    """
+    steps = np.linspace(-HALF_PX, HALF_PX, 7)
+    offsets = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    depth_m = depths(truth, frame, (uv[:, None] + offsets).reshape(-1, 2)).reshape(len(uv), -1)
+    whole = np.asarray(np.isfinite(depth_m).all(axis=1), bool)
+    w = np.where(whole[:, None], 1.0 / np.where(np.isfinite(depth_m), depth_m, 1.0), 1.0)
+    plane = np.column_stack([np.ones(len(offsets)), offsets])
+    off = w - w @ np.linalg.pinv(plane).T @ plane.T
+    return np.where(whole, np.abs(off).max(axis=1) / w.mean(axis=1), np.inf)
+
+
+def depths(truth: Truth, frame: int, uv: Array) -> Array:
+    """True depths (N,) along the camera's axis of pixels (N, 2), m; NaN where there is no ground ahead."""
+    points, pose = truth.ground(frame, uv), truth.poses[frame]
+    depth_m = ((points.enu_m - pose.centre_m) @ pose.R_enu_cam)[:, 2]
+    return np.where(points.is_valid & (depth_m > 0.0), depth_m, np.nan)
 
 
 def kinds_of(truth: Truth, frame: int, uv: Array) -> tuple[list[str], Array]:
