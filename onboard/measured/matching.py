@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.geometry.robust import student_widening
+from onboard.measured.common import in_common
 from onboard.measured.patches import OFFSETS, Patch, Values, by_inverse_depth, by_view, shifted
 from onboard.measured.views import Features, View
 
@@ -204,10 +205,14 @@ def _with_errors(
     free = max(len(rows) - 1, 1)
     rest = float((apart**2 / (np.array(own) + posed)).sum()) / free * float(student_widening(free)) ** 2
     # Minus d ln w by what all features have in common: through the poses, and by the camera's errors of themselves.
-    seen = -np.sum([ck @ view.common.by_pose for ck, view in zip(c, views, strict=True)], axis=0) / w
+    common = in_common(
+        [view.shown for view in views], features.modes, features.relative_sigma**2, features.common_cov,
+        features.is_adjusted,
+    )  # fmt: skip
+    seen = -np.sum([ck @ by_pose for ck, by_pose in zip(c, common.by_pose, strict=True)], axis=0) / w
     missing = np.concatenate([[1.0, *patch.rays[0, :2]], by_camera / w]) - seen
-    toward_set, unknown = _toward_set(missing, views, features.common_cov)
-    return Match(w, slope, by_pictures, by_poses, rest, toward_set, unknown * w * w)
+    toward_set, by_common = float(missing @ common.estimate), common.variance(missing) * w * w
+    return Match(w, slope, by_pictures, by_poses, rest, toward_set, by_common)
 
 
 def _by_pictures(rows: Sequence[Row], L: Sequence[Array]) -> float:
@@ -227,15 +232,3 @@ def _by_views(patch: Patch, w: float, views: Sequence[View], by_pixel: Sequence[
     each = [by_view(patch, view, w) for view in views]
     by_pose = [by @ pose for by, (pose, _) in zip(by_pixel, each, strict=True)]
     return by_pose, np.sum([by @ camera for by, (_, camera) in zip(by_pixel, each, strict=True)], axis=0)
-
-
-def _toward_set(missing: Array, views: Sequence[View], cov: Array) -> tuple[float, float]:
-    """The relative change by which a depth that the views give gets the set's common errors, and its variance. (29.15)
-
-    `missing` (8,): what the depth lacks of what is common.
-    """
-    # All views show the same features, whose own depths are the larger part of their errors: together as one view.
-    information = np.mean([view.common.information for view in views], axis=0)
-    known = np.linalg.solve(np.eye(len(cov)) + cov @ information, cov)
-    common = known @ np.mean([view.common.toward for view in views], axis=0)
-    return float(missing @ common), max(float(missing @ known @ missing), 0.0)

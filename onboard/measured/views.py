@@ -16,11 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.camera import UNKNOWN_SIGMA, Camera
-from contract.feature_set import FeatureSet
+from contract.feature_set import DepthSource, FeatureSet
 from contract.geodesy import LocalFrame
 from contract.rotations import exp_so3, skew
 from onboard.geometry import camera_errors
 from onboard.geometry.plane_homography import fit_homography, move
+from onboard.measured.common import COMMON, MODES, Shown
 
 Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]
@@ -35,8 +36,6 @@ LEAST_SHARE = 0.4  # of the features found again that a pose must explain
 PRIOR_SIGMA_PX = 0.3  # of a feature found again, at first
 ROUNDS = 4
 CUT = 3.0  # sigmas
-MODES = 3  # of a set's depths: (1, x, y)
-COMMON = MODES + camera_errors.COUNT
 LEAST_SIGMA_PX, MOST_SIGMA_PX = 0.05, 1.0  # what is off by more was not found again
 
 
@@ -53,6 +52,7 @@ class Features:
     relative_sigma: Array
     by_camera: Array
     common_cov: Array = field(default_factory=lambda: np.zeros((COMMON, COMMON)))
+    is_adjusted: bool = True  # the depths are by pictures, and not by ground that is known
 
     @classmethod
     def of(cls, clicked: FeatureSet) -> Features:
@@ -65,7 +65,13 @@ class Features:
         common_cov = np.diag([0.0] * MODES + [each**2 for each in UNKNOWN_SIGMA])
         common_cov[:MODES, :MODES] = clicked.common_cov[6:9, 6:9]
         by_camera = rays_by_camera(clicked.camera, rays[keep, :2])
-        return cls(clicked.uv_px[keep], rays[keep], w[keep], sigma, by_camera, common_cov)
+        is_adjusted = clicked.depth_source is DepthSource.PARALLAX
+        return cls(clicked.uv_px[keep], rays[keep], w[keep], sigma, by_camera, common_cov, is_adjusted)
+
+    @property
+    def modes(self) -> Array:
+        """H (N, 3), rows (1, x, y)."""
+        return np.concatenate([np.ones((len(self.rays), 1)), self.rays[:, :2]], axis=1)
 
     def only(self, rows: NDArray[np.intp]) -> Features:
         """Return some of them."""
@@ -74,18 +80,6 @@ class Features:
             uv_px=self.uv_px[rows], rays=self.rays[rows], inverse_depth_per_m=self.inverse_depth_per_m[rows],
             relative_sigma=self.relative_sigma[rows], by_camera=self.by_camera[rows],
         )  # fmt: skip
-
-
-@dataclass(frozen=True, eq=False)
-class Common:
-    """The errors that a set's features have in common, as one view shows them (29.14): `by_pose` (6, 8), how its pose
-    moves with them; the information (8, 8) of them that the features' pixels have beyond the pose, and its right side
-    (8,).
-    """
-
-    by_pose: Array
-    information: Array
-    toward: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +99,7 @@ class View:
     by_feature: Array
     by_depth: Array
     pixel_sigma_px: float
-    common: Common
+    shown: Shown
 
 
 FAR = 1e3  # focal lengths from the middle of the picture
@@ -156,17 +150,17 @@ def view_of(
     solved = resect(*start, features.only(rows), rays[rows, :2], camera)
     if solved is None:
         return None
-    R, centre, by_pixel, by_depth, sigma_px, common = solved
+    R, centre, by_pixel, by_depth, sigma_px, shown = solved
     every = np.zeros((6, len(kept), 2)), np.zeros((6, len(kept)))
     every[0][:, rows], every[1][:, rows] = by_pixel, by_depth
-    return View(other_image, camera, R, centre, *every, sigma_px, common)
+    return View(other_image, camera, R, centre, *every, sigma_px, shown.spread(rows, len(kept)))
 
 
 def resect(
     R: Array, centre_m: Array, features: Features, xy: Array, camera: Camera
-) -> tuple[Array, Array, Array, Array, float, Common] | None:
+) -> tuple[Array, Array, Array, Array, float, Shown] | None:
     """The pose by which features are seen at `xy` (N, 2), undistorted; its `by_feature` and `by_depth`, the pixels' one
-    sigma, and what is seen of what the features have in common. (29.2), (29.3), (29.14)
+    sigma, and what is shown of what the features have in common. (29.2), (29.3), (29.14)
 
     What disagrees is left out, None if that is most.
     """
@@ -204,16 +198,13 @@ def resect(
     if sigma_px > MOST_SIGMA_PX:
         return None
     by_pixel = gain.reshape(6, -1, 2)
-    # Pixels and their weights in the last round: what is left of them when the pose has taken its part.
-    weighed = (W @ (residual - np.einsum("nik,k->ni", J, step))[..., None])[..., 0] * used[:, None]
     by_log = np.einsum("kni,ni->kn", by_pixel, -by_depth)
-    each = np.concatenate([np.ones((len(w), 1)), features.rays[:, :2]], axis=1)  # (N, 3)
     by_camera = pixels_by_camera(R, q, features.by_camera, camera)
-    Z = np.concatenate([by_depth[:, :, None] * each[:, None], by_camera], axis=2)  # (N, 2, 8)
-    by_pose = -np.einsum("kni,nim->km", by_pixel, Z)
-    information = np.einsum("nim,nij,njl->ml", Z, W * used[:, None, None], Z + J @ by_pose)
-    common = Common(by_pose, information, -np.einsum("nim,ni->m", Z, weighed))
-    return R, centre_m, by_pixel, by_log * np.sqrt(s2), sigma_px, common
+    # Along the line, what is more than the features' own depths, the same in all views, is the view's own.
+    more = np.maximum(s2 - features.relative_sigma**2, 0.0)
+    own = more[:, None, None] * by_depth[:, :, None] * by_depth[:, None] + sigma_px**2 * np.eye(2)
+    shown = Shown.of((J, by_depth, by_camera), residual, own, by_pixel)
+    return R, centre_m, by_pixel, by_log * np.sqrt(s2), sigma_px, shown
 
 
 def linearised(R: Array, centre_m: Array, features: Features, camera: Camera) -> tuple[Array, Array, Array]:
