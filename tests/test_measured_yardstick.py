@@ -16,7 +16,7 @@ GROUND_M, WALL_M, SIGMA = 200.0, 194.0, 5e-4
 
 def test_features_at_edges_are_left_out() -> None:
     """Right half: they were tracked on the upper edge of something 6 m high, and the truth at their pixels is the
-    ground's next to it. With them the tilt is off by a hundredth.
+    ground's next to it. With them the tilt is off by four hundredths.
     """
     rng = np.random.default_rng(3)
     uv = rng.uniform([20.0, 20.0], [620.0, 460.0], (120, 2)).round()
