@@ -21,6 +21,7 @@ from contract.camera import Camera
 from contract.errors import InputError
 from contract.stated_values import check_keys, object_of
 from onboard.estimation import camera_states
+from onboard.estimation.counted_from import CountedFrom
 from onboard.estimation.information import Information
 from onboard.estimation.platform_states import (
     BORESIGHT,
@@ -48,8 +49,9 @@ LENS = slice(STATES, STATES + camera_states.COUNT)
 FOCAL_LENGTH = STATES + camera_states.FOCAL_LENGTH
 # Keys of the file in the state directory, in the order of the states; older files lack those from the delays on.
 TIMES = {"offset_s": OFFSET, "delay_s": DELAY, "velocity_delay_s": VELOCITY_DELAY}
-CHECKSUM, WHAT = "crc32", "alignment state"
+CHECKSUM, COUNTED_FROM, WHAT = "crc32", "counted_from", "alignment state"
 KEYS: dict[str, slice | int] = {"boresight_rad": BORESIGHT, **TIMES, "heading_rad": HEADING}
+FILED = (*KEYS, "camera", "covariance", "end_unix_ns", COUNTED_FROM, CHECKSUM)
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,12 +122,14 @@ class Alignment:
         heading_sigma_rad: float = 0.0,
         camera: Camera | None = None,
         readout: tuple[float, float] = (0.0, 0.0),
+        counted_from: CountedFrom | None = None,
     ) -> None:
         """Priors are one sigma; `spacing_s` is the least time between the ends of two windows that update it.
 
         `camera`: the file, whose errors are estimated if it states any sigma. `readout`: of its rows, as configured,
-        and one sigma (s).
+        and one sigma (s). `counted_from`: the declarations that the states are errors of, for the state directory.
         """
+        self._counted_from = counted_from or CountedFrom(camera=camera)
         self._file, self._lens, self._readout_s = camera, camera, readout[0]
         sigmas = [mount_sigma_rad] * 3 + [offset_sigma_s, delay_sigma_s, delay_sigma_s] + [heading_sigma_rad] * 2
         sigmas += camera_states.first_sigmas(camera, readout[1])
@@ -265,17 +269,21 @@ class Alignment:
         if self._file is not None and len(newest.mean) > STATES:
             found["camera"] = camera_states.as_numbers(self._file, newest.mean[STATES:], self._readout_s)
         found |= {"covariance": newest.covariance.tolist(), "end_unix_ns": newest.end_ns}
+        found[COUNTED_FROM] = self._counted_from.as_numbers()
         return json.dumps({**found, CHECKSUM: _checksum(found)}, indent=1)
 
-    def restore(self, text: str) -> None:
+    def restore(self, text: str) -> tuple[str, ...]:
         """Begin from the estimate of an earlier session; raises InputError if the text is not one, if it is not as it
         was written, or beyond what can be.
+
+        Return the labels of what is of another vehicle, mount, clock or camera than is declared now: as in the first
+        prior. (10.8)
 
         What it does not have is as in the first prior; what is taken as it is now (lens, readout) is left out. Its
         sigma is widened to what may have happened on the ground: half of the first prior.
         """
         raw = object_of(text, WHAT)
-        check_keys(raw, (*KEYS, "camera", "covariance", "end_unix_ns", CHECKSUM), WHAT, needed=("covariance",))
+        check_keys(raw, FILED, WHAT, needed=("covariance",))
         stated = raw.pop(CHECKSUM, None)  # older files have none
         if stated is not None and stated != _checksum(raw):
             raise InputError(f"{WHAT}: damaged or edited (its checksum is of another content); delete it")
@@ -290,6 +298,7 @@ class Alignment:
             raise InputError(f"{WHAT}: wrong shape")
         if not (np.all(np.isfinite(found)) and np.all(np.isfinite(covariance))):
             raise InputError(f"{WHAT}: not finite")
+        is_lost = self._recount(raw.get(COUNTED_FROM), found, covariance)
         for q, at in present(len(found)):
             if np.any(np.abs(found[at]) > q.most):
                 value = found[at][np.argmax(np.abs(found[at]))]
@@ -298,8 +307,24 @@ class Alignment:
             raise InputError(f"{WHAT}: covariance is not positive definite")
         first = self._estimates[0]
         mean, before, count = first.mean.copy(), first.covariance.copy(), min(len(found), len(first.mean))
-        mean[:count], before[:count, :count] = found[:count], covariance[:count, :count]
+        taken = np.flatnonzero(~is_lost[:count])
+        before[:count] = before[:, :count] = 0.0
+        before[:count, :count] = np.where(np.eye(count) > 0.0, first.covariance[:count, :count], 0.0)
+        mean[taken], before[np.ix_(taken, taken)] = found[taken], covariance[np.ix_(taken, taken)]
         self._estimates = [PlatformEstimate(0, mean, before + 0.25 * first.covariance)]
+        return tuple(q.label for q, at in present(count) if is_lost[at].any())
+
+    def _recount(self, before: Any, found: Array, covariance: Array) -> Mask:
+        """Count states (B,) from what is declared now, in place; a mask (B,) of those that are of something else."""
+        if before is None:
+            return np.zeros(len(found), bool)  # older files state nothing of it
+        try:
+            sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+            recounted, is_lost = self._counted_from.recounted(before, found, sigma)
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise InputError(f"{WHAT}: {COUNTED_FROM} is not readable ({error})") from error
+        found[:] = np.where(is_lost, 0.0, recounted)
+        return is_lost
 
 
 def _checksum(content: dict[str, Any]) -> str:

@@ -20,6 +20,7 @@ from onboard.config.schema import Config
 from onboard.estimation.boresight import Alignment, PlatformEstimate
 from onboard.estimation.camera_states import COUNT, corrected, readout_s, taken, without_readout
 from onboard.estimation.clock_profile import ClockProfile
+from onboard.estimation.counted_from import CountedFrom
 from onboard.estimation.factors import RATES
 from onboard.estimation.ground_slope import GroundSlope, SlopeSeen, seen_alone
 from onboard.estimation.ground_variogram import slope_variance
@@ -74,6 +75,7 @@ class Window:
             np.radians(config.solve.heading_sigma_deg),
             camera,
             (config.camera.readout_s, config.camera.sigma_readout_s),
+            CountedFrom.of(config, camera, self.R_body_cam),
         )
         self.camera_taken = np.zeros_like(self.alignment.platform.mean[STATES:])  # what parts `camera` from its file
         self.ground_slope = GroundSlope(level_sigma(config))

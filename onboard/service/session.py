@@ -327,7 +327,9 @@ class Session:
 def restore(state: StateFile, pipeline: Pipeline) -> str:
     """Begin from the state file; what is wrong with it if it cannot be used, and the flight begins without."""
     try:
-        state.restore(pipeline.window.alignment)
+        left_out = state.restore(pipeline.window.alignment)
     except InputError as error:
         return str(error)
+    if left_out:
+        log.warning("of what was learned before, %s begins again: it is of what was declared then", ", ".join(left_out))
     return ""

@@ -26,12 +26,14 @@ class StateFile:
         except (OSError, UnicodeDecodeError) as error:
             raise InputError(f"state file {self.path}: {error}") from error
 
-    def restore(self, alignment: Alignment) -> None:
-        """Begin from the file; a missing one is a first flight."""
+    def restore(self, alignment: Alignment) -> tuple[str, ...]:
+        """Begin from the file, and return what of it is left out, `Alignment.restore`; a missing one is a first
+        flight.
+        """
         if not self.path.exists():
-            return
+            return ()
         try:
-            alignment.restore(self.path.read_text(encoding="utf-8"))
+            return alignment.restore(self.path.read_text(encoding="utf-8"))
         except (OSError, UnicodeDecodeError, InputError) as error:
             raise InputError(f"state file {self.path}: {error}") from error
 
