@@ -67,6 +67,7 @@ class Window:
         self.refusal = ""  # why the newest window has no solution, in words; empty if it has one
         self.noise = Noise(config.solve.pixel_sigma_px, config.camera.sigma_jitter_s)
         self.terrain: Terrain | None = None  # of the area below, if known
+        self.terrain_doubt = ""  # how far that is off the ground, as windows without it show; empty: it is not
         self.alignment = Alignment(
             np.radians(mount.sigma_deg),
             config.camera.sigma_latency_s,
@@ -290,6 +291,8 @@ class Window:
             return self._begin_at(clock)
         self.noise = outcome.noise
         self.refusal = outcome.reason
+        if outcome.solved is not None or outcome.terrain_doubt:
+            self.terrain_doubt = outcome.terrain_doubt
         if outcome.status in MOVED:
             self.solved = None  # what it places is placed through optics that it knows nothing of
         if outcome.lens_moved:

@@ -22,9 +22,11 @@ from onboard.estimation.weighing import (
     without_failing_sensors,
     without_near_points,
 )
-from onboard.estimation.window_acceptance import MAX_DEPTH_SIGMA
+from onboard.estimation.window_acceptance import MAX_DEPTH_SIGMA, off_terrain
 from onboard.estimation.window_problem import Outcome, Weighed, WindowProblem, from_request
 from onboard.estimation.window_request import Noise, Request
+
+STEPS = 10  # from ground that the terrain model holds to where pictures and sensors alone have it
 
 
 def from_one_start(request: Request) -> Outcome:
@@ -66,6 +68,9 @@ def weigh(weighed: Weighed) -> Settled | Outcome:
     if own_share > MAX_DEPTH_SIGMA:
         reason = f"little parallax: depths known to {100.0 * own_share:.0f} % only, without the terrain model"
         return Outcome(Status.LOW_PARALLAX, weighed.window.keyframes, found.noise, reason=reason)
+    off = _off_known_ground(weighed)
+    if off is not None:
+        return Outcome(Status.POOR_FIT, weighed.window.keyframes, found.noise, reason=off)
     return replace(found, weighed=with_waves(found.weighed, WEIGHING_ROUNDS))
 
 
@@ -88,6 +93,15 @@ def accept(refined: Refined) -> Outcome:
     found = judged(refined)
     noise = replace(_learned(refined, found.status), pixel_sigma_px=found.noise.pixel_sigma_px)
     return replace(found, weighed=refined.settled.weighed, noise=noise)
+
+
+def _off_known_ground(weighed: Weighed) -> str | None:
+    """How far the terrain model is off the ground that pictures and sensors alone show, if it is. (16.16)"""
+    window = weighed.window
+    if window.unweighed.terrain is None:
+        return None
+    free, seen = weighed.without_known_ground(STEPS), np.count_nonzero(weighed.problem.weight > 0, axis=0) >= 2
+    return off_terrain(window.request.config, window.unweighed.terrain, free, seen)
 
 
 def _depth_share_without_known_ground(weighed: Weighed) -> float:

@@ -121,11 +121,11 @@ def by_itself(
             if isinstance(prior, AttitudePrior) and not with_attitude(keyframes).any():
                 what = "no aircraft flies this path so tilted"
             return f"{what}: {rms:.1f} sigmas rms"
-    return _by_terrain(config, terrain, s, good) or _by_distance(config, keyframes, s, layout)
+    return off_terrain(config, terrain, s, good) or _by_distance(config, keyframes, s, layout)
 
 
-def _by_terrain(config: Config, terrain: Terrain | None, s: Solution, good: Mask) -> str | None:
-    """The points' height over the terrain model, where it is known. Equations (16.5), (16.6)."""
+def off_terrain(config: Config, terrain: Terrain | None, s: Solution, good: Mask) -> str | None:
+    """Return by how much points lie off a terrain model, where it is known; None if they do not. (16.5), (16.6)"""
     if terrain is None:
         return None
     points = s.state.points_enu_m[good]

@@ -107,8 +107,8 @@ class Weighed:
         """Solve the window weighted by another noise, from where this solve ended."""
         return self.window.weighed(noise, self.solution.state)
 
-    def without_known_ground(self) -> Solution:
-        """The solution with the covariance that it had over ground of which nothing were known. (6.14)"""
+    def without_known_ground(self, steps: int = 1) -> Solution:
+        """The solution over ground of which nothing were known: its covariance, and after so many steps. (6.14)"""
         window, state = self.window, self.solution.state
         plane, _ = fit_plane(state.points_enu_m)
         reference = window.unweighed.reference_enu_m.copy()
@@ -121,7 +121,7 @@ class Weighed:
             terrain=None,
             parallax=parallax_of(state.centres_enu_m, reference, tilted),
         )
-        return solve(free.problem(self.noise), replace(state, plane=tilted), max_iterations=1)
+        return solve(free.problem(self.noise), replace(state, plane=tilted), max_iterations=steps)
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,6 +136,7 @@ class Outcome:
     weighed: Weighed | None = None  # its first solve, which others are compared with
     rejected: Solved | None = None  # a solution that only earlier windows speak against
     agreed: Agreement | None = None  # with an earlier window that shares points and no picture
+    terrain_doubt: str = ""  # how far the terrain model is off the ground that the window shows without it
     is_minimum: bool = True  # the adjustment reached one
     lens_moved: float = 0.0  # by about so much of the focal length's logarithm within the window
 

@@ -5,10 +5,15 @@ The same request gives the same outcome in whatever thread it runs.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+from contract.feature_set import Status
 from onboard.estimation.explanations import HEADINGS, begun_at, other_starts
 from onboard.estimation.judge import is_far_worse, likelier
+from onboard.estimation.moved_optics import MOVED
 from onboard.estimation.stages import adjusted, from_one_start
 from onboard.estimation.turn_profile import by_profile
+from onboard.estimation.window_acceptance import off_terrain
 from onboard.estimation.window_problem import Outcome
 from onboard.estimation.window_request import Request
 
@@ -18,7 +23,22 @@ def adjust(request: Request) -> Outcome:
 
     From other starts too, where its pictures may have another explanation, (16.8). A likelier one has its own: those of
     a first solve that stopped short of its minimum are none of them.
+
+    Where a window has no result over its terrain model, it is solved without too: ground that all else shows elsewhere
+    leaves that model in doubt. Which of the two is wrong, nothing shows: ground may move as a whole. (16.16)
     """
+    over = _from_all_starts(request)
+    if request.terrain is None or over.status not in (Status.POOR_FIT, *MOVED):
+        return over
+    alone = _from_all_starts(replace(request, terrain=None)).solved
+    if alone is None:
+        return over
+    doubt = off_terrain(request.config, request.terrain, alone.solution, alone.good)
+    return over if doubt is None else replace(over, status=Status.POOR_FIT, reason=doubt, terrain_doubt=doubt)
+
+
+def _from_all_starts(request: Request) -> Outcome:
+    """Solve a window from all starts, over its terrain model if it has one."""
     first = from_one_start(request)
     best = _likeliest(request, first)
     if best is not first and best.solved is not None:

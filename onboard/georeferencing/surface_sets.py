@@ -54,13 +54,14 @@ def level_cast(height_m: float) -> Cast:
 def over_known_ground(config: Config, window: Window, nav: NavState, picture: Picture) -> FeatureSet | None:
     """The picture's set by the autopilot's pose over a known ground; None without attitude or without such a ground.
 
-    That ground is terrain, or what a range finder measures, or home's level.
+    That ground is terrain, unless pictures have shown the ground elsewhere, (16.16), or what a range finder measures,
+    or home's level.
     """
     sensor_pose = window.sensor_pose(nav)
     if sensor_pose is None:
         return None
     ranged = nav.ground_range
-    if window.terrain is not None:
+    if window.terrain is not None and not window.terrain_doubt:
         surface = Surface(window.terrain.cast, config.terrain.sigma_m, DepthSource.TERRAIN)
         over = sensor_pose.over_ground(config.terrain.sigma_datum_m)
     elif ranged is not None:
