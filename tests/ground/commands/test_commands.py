@@ -187,8 +187,11 @@ def test_pins_come_back_from_files_as_they_were(
     assert "3 pins imported" in printed("import", files[0])
     assert exported() == before
     for file in files[1:]:
+        assert "0 pins imported; 3 were here already" in printed("import", file)
+        printed("clear")
         assert "3 pins imported" in printed("import", file)
-    assert len(printed("list").splitlines()) == 12
+        assert "0 pins imported; 3 were here already" in printed("import", file)
+    assert len(printed("list").splitlines()) == 3
     assert "nothing to undo" in [printed("undo") for _ in range(20)][-1]
 
 
