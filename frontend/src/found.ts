@@ -3,19 +3,20 @@
 import { api } from "./api.js";
 import { byId, make, setText } from "./dom.js";
 import { within } from "./format.js";
-import { toPane, type View } from "./mapping.js";
+import { toPane, type Pixel, type View } from "./mapping.js";
 import { shortFind } from "./map-tracks.js";
 import { placeIn } from "./projection.js";
 import { newFinds } from "./news.js";
 import type { State } from "./state.js";
 import type { FoundSpot, FrameView } from "./types.js";
 
+const SAME_PLACE_MS = 2000; // for which what moves is about where it was seen
 const ALARM_MS = 8000; // for which a new find stands out
 const TONES_HZ = [880, 660, 880], TONE_S = 0.16, LOUD = 0.25;
 
 export interface FoundActions { goTo(spot: FoundSpot): void; confirm(spot: FoundSpot): void; dismiss(spot: FoundSpot): void }
 
-/** A ring about each find that waits for a person, in any picture that shows its place. */
+/** A ring about each find that waits for a person, in any picture that shows it, or its place. */
 export class SpotMarks {
   private readonly elements = new Map<number, HTMLElement>();
 
@@ -24,7 +25,7 @@ export class SpotMarks {
   draw(frame: FrameView | null, view: View): void {
     const seen = new Set<number>();
     for (const spot of frame === null || frame.camera === null ? [] : this.state.openSpots()) {
-      const at = placeIn(frame!, spot);
+      const at = pixelOf(frame!, spot);
       if (at === null) continue;
       seen.add(spot.spot);
       let element = this.elements.get(spot.spot);
@@ -39,6 +40,17 @@ export class SpotMarks {
     }
     for (const [spot, element] of this.elements) if (!seen.has(spot)) { element.remove(); this.elements.delete(spot); }
   }
+}
+
+/** Where a picture shows a find. The place of one that moves is that of its last sighting, and no other picture's. */
+function pixelOf(frame: FrameView, spot: FoundSpot): Pixel | null {
+  const own = frame.spots[spot.spot];
+  if (own !== undefined) {
+    const [u, v] = own; // a second camera may see beyond this picture
+    return u < 0.0 || v < 0.0 || u > frame.width_px - 1 || v > frame.height_px - 1 ? null : { u, v };
+  }
+  const apartMs = Math.abs(Date.parse(frame.time_utc) - Date.parse(spot.last_utc));
+  return spot.is_moving === true && apartMs > SAME_PLACE_MS ? null : placeIn(frame, spot);
 }
 
 export class FoundList {

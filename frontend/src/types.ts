@@ -20,6 +20,7 @@ export interface FrameView {
   footprint: [number, number][];
   mesh: GroundMesh | null;
   ce90_centre_m: number | null;
+  spots: Record<string, [number, number]>; // pixels of the things that a machine found in it, by number
 }
 
 export interface Ellipse { semi_major_m: number; semi_minor_m: number; azimuth_deg: number }
@@ -128,6 +129,7 @@ export interface FoundSpot {
   first_utc: string; last_utc: string; temperature_c: number | null; above_ground_k: number | null; contrast: number; kind: "person" | "vehicle" | "other" | null; probability: number | null; heat: string; motion: string;
   lat_deg: number; lon_deg: number; height_amsl_m: number | null; height_ellipsoid_m: number | null; ellipse: Ellipse; ce90_m: number;
   best: { vehicle: string; session: number; frame: number; u: number; v: number };
+  is_moving?: boolean; // not there while too little is known
 }
 
 /** What burned: GeoJSON features, and in words. */

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections import deque
+from collections import OrderedDict, deque
 from collections.abc import Iterable
 from dataclasses import replace
 
@@ -30,6 +30,8 @@ class ReceivedSpots(ReportView[SpotReport]):
         self._changed: dict[int, int] = {}  # by thing, the version at which it changed last
         self._person_found: dict[str, float | None] = {}  # by vehicle, of its newest picture
         self._searched: deque[SpotReport] = deque(maxlen=MOST_SEARCHED)  # without their spots
+        # Of as many pictures, by vehicle, session and frame: where in it each thing was seen, by number.
+        self._seen: OrderedDict[tuple[str, int, int], dict[int, tuple[float, float]]] = OrderedDict()
         self._shares = 0.0, 0  # sum and number, of all pictures
         self._version = 0
         self._lock = threading.Lock()
@@ -56,8 +58,14 @@ class ReceivedSpots(ReportView[SpotReport]):
                     self._shares = self._shares[0] + share, self._shares[1] + 1
 
     def _merge(self, report: SpotReport) -> None:
+        seen = {}
         for thing in self._merger.add(report):
             self._changed[thing.number] = self._version
+            seen[thing.number] = thing.newest.u_px, thing.newest.v_px
+        if seen:
+            self._seen[report.vehicle, report.session, report.frame] = seen
+            while len(self._seen) > MOST_SEARCHED:
+                self._seen.popitem(last=False)
 
     @property
     def version(self) -> int:
@@ -85,6 +93,11 @@ class ReceivedSpots(ReportView[SpotReport]):
         """The reports of the newest MOST_SEARCHED pictures, without their spots."""
         with self._lock:
             return list(self._searched)
+
+    def seen_in(self, vehicle: str, session: int, frame: int) -> dict[int, tuple[float, float]]:
+        """The pixels at which a picture shows things, by their numbers; a thing that moves was elsewhere in others."""
+        with self._lock:
+            return dict(self._seen.get((vehicle, session, frame), {}))
 
     def person_found(self, vehicle: str) -> float | None:
         """The share of the ground of a vehicle's newest picture on which a person would be found; None: not known."""

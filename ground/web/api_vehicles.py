@@ -85,7 +85,9 @@ def features(context: Context, vehicle: str, frame: Frame, session: Session = No
     found = context.source.feature_set(vehicle, session, frame)
     if found is None:
         raise HTTPException(404, "no set of this picture is there")
-    return frame_view(found, _before(context, found), context.source.age_s(found), context.clicker.locator(found))
+    seen = context.source.views.spots.seen_in(vehicle, found.session, frame)
+    view = frame_view(found, _before(context, found), context.source.age_s(found), context.clicker.locator(found))
+    return {**view, "spots": {str(number): [round(u, 2), round(v, 2)] for number, (u, v) in seen.items()}}
 
 
 @router.get("/vehicles/{vehicle}/path", summary="Where the camera was, picture by picture")

@@ -92,6 +92,17 @@ def test_a_find_becomes_a_pin_with_its_source_or_is_dismissed_and_both_are_undon
         assert client.get("/api/spots/1/crop").headers["content-type"] == "image/jpeg"
 
 
+def test_a_picture_states_where_in_it_each_find_is(tmp_path: Path) -> None:
+    """A walker's ring was where he had come to by the end, in all pictures of his way."""
+    with api(tmp_path) as (client, source):
+        source.fly_to(9)
+        source.views.spots.add([report(k) for k in range(3)])
+        for frame in range(3):
+            view = client.get(f"/api/vehicles/{VEHICLE}/frames/{frame}/features").json()
+            assert view["spots"] == {"1": [400.0, 300.0 + 17.0 * frame], "2": [200.0, 200.0 + 17.0 * frame]}
+        assert client.get(f"/api/vehicles/{VEHICLE}/frames/5/features").json()["spots"] == {}
+
+
 def test_a_second_camera_that_is_lost_is_named_and_nothing_is_claimed_of_its_search(tmp_path: Path) -> None:
     """Before, the share of the last picture that it had searched stayed there."""
     with api(tmp_path) as (client, source):
