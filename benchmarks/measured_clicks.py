@@ -236,7 +236,7 @@ def shared_of(truth: Truth, frame: int, s: FeatureSet) -> tuple[Array, Array]:
 
 
 def unevenness(truth: Truth, frame: int, uv: Array) -> Array:
-    """By how much of itself the inverse depth about pixels (N, 2) is off a plane at most (N,); infinite where the
+    """The share by which the inverse depth about pixels (N, 2) is off a plane at most (N,); infinite where the
     window that a feature is found by reaches beyond the ground.
     """
     steps = np.linspace(-HALF_PX, HALF_PX, 7)

@@ -136,12 +136,10 @@ class ClickedPixel:
 
 @dataclass(frozen=True, eq=False)
 class Swing:
-    """How the camera was turned at K moments before its picture: what sets that come seldom do not show. Section 31."""
+    """The camera's turning at K moments before its picture, which sets that come seldom do not show. Section 31."""
 
     before_s: Array  # (K,) before the capture, rising
-    turned_cam_rad: (
-        Array  # (K, 3) rotation vectors, camera axes: R_enu_cam exp(turned) then, at the middle row's moment
-    )
+    turned_cam_rad: Array  # (K, 3) rotation vectors, camera axes: R_enu_cam exp(turned) then, of the middle row
 
 
 @dataclass(frozen=True, eq=False)

@@ -95,8 +95,8 @@ class History(Generic[T]):
         return list(self._sessions)
 
     def span_ns(self, session: int) -> tuple[int, int] | None:
-        """When the first and the newest picture that are kept of a session, which runs or not, were taken; None of one
-        without any.
+        """The capture times of the first and the newest picture that are kept of a session, which runs or not; None of
+        one without any.
         """
         held = self._sessions.get(session)
         entries = [] if held is None else held.ordered()

@@ -220,8 +220,9 @@ class Locator:
         return float(r[0]), math.sqrt(max(float(variance[0]), 0.0))
 
     def met_from(self, from_enu_m: Array, rays_enu: Array) -> Array:
-        """Where rays (K, 3) of unit depth that begin elsewhere (K, 3) meet the ground of this picture, both from its
-        camera, east, north, up, m: (K, 3), nan towards the horizon. Beyond the features the plane stands for it. (31.6)
+        """The points (K, 3) at which rays (K, 3) of unit depth that begin elsewhere (K, 3) meet the ground of this
+        picture, all from its camera, east, north, up, m; nan towards the horizon. Beyond the features the plane stands
+        for it. (31.6)
         """
         s = self.feature_set
         normal = s.R_enu_cam @ s.plane_per_m[[1, 2, 0]]

@@ -1,4 +1,4 @@
-"""How the camera was turned before its picture <-> bytes: section 6.2 of docs/wire-format.md."""
+"""The camera's turning before its picture <-> bytes: section 6.2 of docs/wire-format.md."""
 
 from __future__ import annotations
 

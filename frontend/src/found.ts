@@ -42,7 +42,7 @@ export class SpotMarks {
   }
 }
 
-/** Where a picture shows a find. The place of one that moves is that of its last sighting, and no other picture's. */
+/** The pixel at which a picture shows a find. The place of one that moves is that of its last sighting, and no other picture's. */
 function pixelOf(frame: FrameView, spot: FoundSpot): Pixel | null {
   const own = frame.spots[spot.spot];
   if (own !== undefined) {

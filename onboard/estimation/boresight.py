@@ -308,8 +308,6 @@ class Alignment:
         first = self._estimates[0]
         mean, before, count = first.mean.copy(), first.covariance.copy(), min(len(found), len(first.mean))
         taken = np.flatnonzero(~is_lost[:count])
-        before[:count] = before[:, :count] = 0.0
-        before[:count, :count] = np.where(np.eye(count) > 0.0, first.covariance[:count, :count], 0.0)
         mean[taken], before[np.ix_(taken, taken)] = found[taken], covariance[np.ix_(taken, taken)]
         self._estimates = [PlatformEstimate(0, mean, before + 0.25 * first.covariance)]
         return tuple(q.label for q, at in present(count) if is_lost[at].any())

@@ -1,4 +1,4 @@
-"""What the estimates of mount, clock and camera are counted from, and what becomes of them where that was changed.
+"""The declarations that estimates of mount, clock and camera are counted from; and these where that was changed.
 
 An estimate of an earlier session is the error of what was declared then. Where the declaration is another today, it
 either states now what was found, or it is of another mount, camera or clock: then what was found of the old one is

@@ -96,7 +96,7 @@ def accept(refined: Refined) -> Outcome:
 
 
 def _off_known_ground(weighed: Weighed) -> str | None:
-    """How far the terrain model is off the ground that pictures and sensors alone show, if it is. (16.16)"""
+    """Return by how much ground that pictures and sensors alone show is off the terrain model; None if not. (16.16)"""
     window = weighed.window
     if window.unweighed.terrain is None:
         return None

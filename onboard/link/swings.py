@@ -1,4 +1,4 @@
-"""How the camera was turned since the set that was sent before: what a set of a link that carries few has with it."""
+"""The camera's turning since the set that was sent before, which a set takes along over a link that carries few."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What all features of a clicked picture are off by together, and what its views show of that. (29.14)
+"""The errors that all features of a clicked picture have in common, and what its views show of them. (29.14)
 
 Common errors are eight: the modes (1, x, y) of the depths' logarithms, and the camera's five errors, which are the same
 in all pictures. The set's depths were adjusted with the camera as it is, and so are bent by its errors.
@@ -25,7 +25,7 @@ LEAST_FREE = 0.1  # of the measurements, beyond the unknowns that they determine
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """How one view's pixels of the N features depend on its pose, on their depths and on the camera's errors.
+    """The dependence of one view's pixels of the N features on its pose, on their depths and on the camera's errors.
 
     `X` (N, 2, 12) are a pixel's derivatives by the pose and the camera, and what is left of it, `z` (N, 2) that by the
     logarithm of its depth, both in sigmas of the pixels' noise; zero for a feature that was not found. The pose that
@@ -58,8 +58,8 @@ class Shown:
 
 @dataclass(frozen=True, eq=False)
 class Common:
-    """What is known of the common errors: their estimate (8,), its covariance (8, 8) if the features' errors are as
-    they are stated, and how far each feature moves it (N, 8); and how each view's pose moves with them (V, 6, 8).
+    """The common errors as far as they are known: their estimate (8,), its covariance (8, 8) if the features' errors
+    are as stated, and how far each feature moves it (N, 8); and how each view's pose moves with them (V, 6, 8).
     """
 
     estimate: Array
@@ -122,7 +122,7 @@ def bent(shown: Sequence[Shown], modes: Array, variance: Array) -> Array:
 
 
 def _found(z: Array) -> NDArray[np.bool_]:
-    """Which features (N,) any view has."""
+    """The mask (N,) of the features that any view has."""
     return np.asarray((z != 0.0).any(axis=(0, 2)), bool)
 
 

@@ -164,7 +164,7 @@ def until_30_s(t: float) -> list[tuple[float, float]]:
 
 
 def ellipses_off(things: Things, after_s: float, *flights: tuple[Flight, int]) -> tuple[list[float], int]:
-    """How far, in semi-axes, the thing of each report after a moment is from the truth then; and the number of things.
+    """The distances, in semi-axes, of each report's thing after a moment from the truth then; and the number of things.
 
     Of flights and their numbers of pictures, as their reports come.
     """
@@ -214,7 +214,7 @@ def test_who_was_seen_to_walk_once_and_stands_is_one_thing_in_every_later_pass()
 def test_one_who_stands_and_is_seen_now_and_then_has_not_moved_and_stays_one_thing(
     interval_s: float, pictures: int
 ) -> None:
-    """What a walker may have done meanwhile explains any place, and was taken for evidence: he became three."""
+    """A walk that may have been meanwhile explains any place, and was taken for evidence: he became three."""
     for seed in range(5):
         (found,) = merged(standing((3.0, 4.0)), pictures, flight(seed, interval_s=interval_s))
         assert found.pictures == pictures

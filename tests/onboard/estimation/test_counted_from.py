@@ -1,4 +1,4 @@
-"""What was learned is of the mount, clocks, camera and vehicle that were declared then, and serves no others.
+"""Estimates are of the mount, clocks, camera and vehicle that were declared then, and serve no others.
 
 In sampled flights the lens kept from a camera of half the size put clicks 56 m off, 8.5 ellipses (median), that of
 another lens 17 to 27 m; both are 2 to 4 m now.

@@ -1,4 +1,4 @@
-"""What a set that is sent seldom states of how the camera was turned since the set before."""
+"""The camera's turning since the set before, as a set that is sent seldom states it."""
 
 import dataclasses
 import math

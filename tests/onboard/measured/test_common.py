@@ -1,4 +1,4 @@
-"""What a set's features are off by together, by what its views show: (29.14) to (29.16)."""
+"""The errors that a set's features have in common, by what its views show: (29.14) to (29.16)."""
 
 from dataclasses import replace
 
@@ -38,7 +38,7 @@ def seen(features: Features, R: Array, centre_m: Array) -> Array:
 
 
 def shown_by(features: Features, poses: list[tuple[Array, Array]], noise_px: Array) -> list[Shown]:
-    """What each view shows of features whose pixels are off by `noise_px` (V, N, 2)."""
+    """The share of each view in what is shown of features whose pixels are off by `noise_px` (V, N, 2)."""
     out = []
     for (R, centre), noise in zip(poses, noise_px, strict=True):
         found = resect(R, centre, features, CAMERA.unproject(seen(features, R, centre) + noise)[0][:, :2], CAMERA)
