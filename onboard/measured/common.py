@@ -38,13 +38,14 @@ class Shown:
     by_camera: Array
 
     @classmethod
-    def of(cls, by: tuple[Array, Array, Array], left: Array, covariance: Array, gain: Array) -> Shown:
-        """Return it from derivatives `by` pose (N, 2, 6), depth (N, 2) and camera (N, 2, 5), what is `left` (N, 2) with
-        its covariance (N, 2, 2), and the pose's `gain` (6, N, 2) by pixels, zero where a feature is left out.
+    def of(cls, by: tuple[Array, Array, Array], left: Array, whiten: Array, gain: Array) -> Shown:
+        """Return it from derivatives `by` pose (N, 2, 6), depth (N, 2) and camera (N, 2, 5), what is `left` (N, 2), the
+        matrices that take that to sigmas of its noise (N, 2, 2), and the pose's `gain` (6, N, 2) by pixels, zero where
+        a feature is left out.
         """
         by_pose, by_depth, by_camera = by
         X = np.concatenate([by_pose, by_camera, left[:, :, None], by_depth[:, :, None]], axis=2)
-        white = np.linalg.solve(np.linalg.cholesky(covariance), X)
+        white = whiten @ X
         white[~gain.any(axis=(0, 2))] = 0.0
         moved = gain.reshape(POSE, -1) @ by_camera.reshape(-1, camera_errors.COUNT)
         return cls(white[:, :, :-1], white[:, :, -1], -(gain * by_depth).sum(axis=2), -moved)

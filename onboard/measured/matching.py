@@ -58,19 +58,19 @@ class Match:
 
 
 @dataclass(frozen=True, eq=False)
-class Row:
-    """One view at the present depth and slope, of the n pixels that count."""
+class Rows:
+    """The V views at the present depth and slope, of the n pixels that count."""
 
-    residual: Array  # (n,)
-    J: Array  # (n, 3) by inverse depth and slope
-    by_pixel: Array  # (n, 2) by the place in the view
-    noise: float  # squared, of one pixel of the residual
+    residual: Array  # (V, n)
+    J: Array  # (V, n, 3) by inverse depth and slope
+    by_pixel: Array  # (V, n, 2) by the place in the view
+    noise: Array  # (V,) squared, of one pixel of the residual
 
 
 @dataclass(frozen=True, eq=False)
 class Warped:
-    """One view's patch at a depth and a slope: values (225,), their derivatives by the place in the view (225, 2), and
-    the derivative (2,) of that place by the depth.
+    """The patch in V views at a depth and a slope: values (V, 225), their derivatives by the place in the view
+    (V, 225, 2), and the derivative (V, 2) of that place by the depth.
     """
 
     values: Values
@@ -78,8 +78,10 @@ class Warped:
     by_inverse_depth: Array
 
     @classmethod
-    def at(cls, patch: Patch, view: View, w: float, slope: Array) -> Warped:
-        return cls(*shifted(patch, view, w, slope), by_inverse_depth(patch, view, w))
+    def at(cls, patch: Patch, views: Sequence[View], w: float, slope: Array) -> Warped:
+        each = [shifted(patch, view, w, slope) for view in views]
+        by_depth = [by_inverse_depth(patch, view, w) for view in views]
+        return cls(np.stack([values for values, _ in each]), np.stack([by for _, by in each]), np.stack(by_depth))
 
 
 def matched(
@@ -103,7 +105,7 @@ def matched(
     return None
 
 
-_Solution = tuple[list[Row], Array, Array]  # of one round: the views' rows, the step (3,), its covariance (3, 3)
+_Solution = tuple[Rows, Array, Array]  # of one round: the views' rows, the step (3,), its covariance (3, 3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +118,7 @@ class _Converged:
     slope: Array
     last: _Solution
     before: float
-    there: list[Warped]
+    there: Warped
     prior: tuple[Array, Array]
 
 
@@ -128,7 +130,7 @@ def _converged(
     out: _Converged | None = None
     information = np.diag([0.0, SLOPE_SIGMA**-2, SLOPE_SIGMA**-2])
     for _ in range(ROUNDS):
-        there = [Warped.at(patch, view, w, slope) for view in views]
+        there = Warped.at(patch, views, w, slope)
         prior = information, np.asarray(information @ [0.0, *(slope - usual)], float)
         last = _solved(patch, there, w, window, prior)
         _, step, covariance = last
@@ -141,15 +143,15 @@ def _converged(
     return out
 
 
-def _solved(patch: Patch, there: Sequence[Warped], w: float, window: Mask, prior: tuple[Array, Array]) -> _Solution:
+def _solved(patch: Patch, there: Warped, w: float, window: Mask, prior: tuple[Array, Array]) -> _Solution:
     """One step in a window. `prior`: the slope's information, and its pull."""
-    rows = [linearised(patch, each, w, window) for each in there]
-    N = prior[0] + sum(row.J.T @ row.J / row.noise for row in rows)
-    toward = np.sum([row.J.T @ row.residual / row.noise for row in rows], axis=0) - prior[1]
+    rows = linearised(patch, there, w, window)
+    J, weighted = rows.J.reshape(-1, 3), (rows.J / rows.noise[:, None, None]).reshape(-1, 3)
+    N = prior[0] + weighted.T @ J
     if not N[0, 0] > 0.0:
         return rows, np.zeros(3), np.zeros((3, 3))
     covariance = np.asarray(np.linalg.inv(N), float)
-    return rows, np.asarray(covariance @ toward, float), covariance
+    return rows, np.asarray(covariance @ (rows.residual.ravel() @ weighted - prior[1]), float), covariance
 
 
 def _apart(large: _Solution, small: _Solution) -> bool:
@@ -157,78 +159,83 @@ def _apart(large: _Solution, small: _Solution) -> bool:
     if not small[2][0, 0] > 0.0:  # no texture
         return False
     of_large, of_small = (
-        _by_pictures(rows, [row.J @ covariance[0] / row.noise for row in rows])
-        for rows, _, covariance in (large, small)
+        _by_pictures(rows, _by_residual(rows, covariance[0])) for rows, _, covariance in (large, small)
     )
     # A smaller window that knows the depth as well as the larger one is preferred.
     noise = CORRELATED * max(of_small - of_large, 0.0)
     return float(small[1][0] - large[1][0]) ** 2 > APART**2 * noise
 
 
-def linearised(patch: Patch, there: Warped, w: float, window: Mask) -> Row:
-    """Return the residual between the clicked patch and a view's, and its derivatives. (29.7)"""
-    values, by_pixel = there.values, there.by_pixel
+def linearised(patch: Patch, there: Warped, w: float, window: Mask) -> Rows:
+    """Return the residuals between the clicked patch and the views', and their derivatives. (29.7)"""
     clicked, _ = normalised(patch.values[window])
-    seen, length = normalised(values[window])
-    g = by_pixel[window]
-    g = (g - g.mean(axis=0)) / length
-    g -= np.outer(seen, seen @ g)
-    along = g @ there.by_inverse_depth
-    J = np.column_stack([along, w * along[:, None] * patch.by_offset[window]])
+    seen, length = normalised(there.values[:, window])
+    g = there.by_pixel[:, window]
+    g = (g - g.mean(axis=1, keepdims=True)) / length[..., None]
+    g -= seen[..., None] * np.einsum("vn,vni->vi", seen, g)[:, None]
+    along = (g @ there.by_inverse_depth[..., None])[..., 0]
+    J = np.concatenate([along[..., None], w * along[..., None] * patch.by_offset[window]], axis=2)
     residual = clicked - seen
-    noise = max(float(residual @ residual) / max(len(residual) - 6, 1), LEAST_NOISE / len(residual))
-    return Row(residual, J, g, noise)
+    pixels = residual.shape[1]
+    noise = np.maximum((residual**2).sum(axis=1) / max(pixels - 6, 1), LEAST_NOISE / pixels)
+    return Rows(residual, J, g, noise)
 
 
-def normalised(values: Values | Array) -> tuple[Array, float]:
-    """Values at mean zero and length one, and their length before."""
-    centred = np.asarray(values, float) - float(np.mean(values))
-    length = max(float(np.linalg.norm(centred)), 1e-6)
+def normalised(values: Values) -> tuple[Array, Array]:
+    """Values (..., n) at mean zero and length one, and their length (..., 1) before."""
+    centred = np.asarray(values, float) - np.mean(values, axis=-1, keepdims=True, dtype=float)
+    length = np.maximum(np.sqrt((centred**2).sum(axis=-1, keepdims=True)), 1e-6)
     return centred / length, length
 
 
+def _by_residual(rows: Rows, by_score: Array) -> Array:
+    """Return d w / d residual (V, n). `by_score` (3,): the first row of the normal matrix's inverse."""
+    return np.asarray(rows.J @ by_score / rows.noise[:, None], float)
+
+
 def _with_errors(
-    rows: Sequence[Row], by_score: Array, views: Sequence[View], features: Features, found: tuple[Patch, float, Array]
+    rows: Rows, by_score: Array, views: Sequence[View], features: Features, found: tuple[Patch, float, Array]
 ) -> Match:
     """(29.8) to (29.15). `by_score` (3,): the first row of the normal matrix's inverse; `found`: what, w, slope."""
     patch, w, slope = found
-    L = [row.J @ by_score / row.noise for row in rows]  # d w / d residual, (n,) of each view
-    own = [float(each @ each) * row.noise for each, row in zip(L, rows, strict=True)]
+    L = _by_residual(rows, by_score)
+    own = (L**2).sum(axis=1) * rows.noise
     by_pictures = _by_pictures(rows, L)
-    c, by_camera = _by_views(patch, w, views, [each @ row.by_pixel for each, row in zip(L, rows, strict=True)])
-    by_noise = [np.einsum("k,kni->ni", ck, v.by_feature) * v.pixel_sigma_px for ck, v in zip(c, views, strict=True)]
+    c, by_camera = _by_views(patch, w, views, np.einsum("vn,vni->vi", L, rows.by_pixel))
+    by_noise = np.stack(
+        [np.einsum("k,kni->ni", ck, v.by_feature) * v.pixel_sigma_px for ck, v in zip(c, views, strict=True)]
+    )
     by_depth = np.sum([ck @ view.by_depth for ck, view in zip(c, views, strict=True)], axis=0)
-    posed = [float((each**2).sum()) for each in by_noise]
-    half_common = 0.5 * float((np.sum(by_noise, axis=0) ** 2).sum())
-    by_poses = 0.5 * sum(posed) + half_common + float((by_depth**2).sum())
-    apart = np.array([float(each @ row.residual) for each, row in zip(L, rows, strict=True)])
-    free = max(len(rows) - 1, 1)
-    rest = float((apart**2 / (np.array(own) + posed)).sum()) / free * float(student_widening(free)) ** 2
+    posed = (by_noise**2).sum(axis=(1, 2))
+    half_common = 0.5 * float((by_noise.sum(axis=0) ** 2).sum())
+    by_poses = 0.5 * float(posed.sum()) + half_common + float((by_depth**2).sum())
+    apart = (L * rows.residual).sum(axis=1)
+    free = max(len(views) - 1, 1)
+    rest = float((apart**2 / (own + posed)).sum()) / free * float(student_widening(free)) ** 2
     # Minus d ln w by what all features have in common: through the poses, and by the camera's errors of themselves.
     common = in_common(
         [view.shown for view in views], features.modes, features.relative_sigma**2, features.common_cov,
         features.is_adjusted,
     )  # fmt: skip
-    seen = -np.sum([ck @ by_pose for ck, by_pose in zip(c, common.by_pose, strict=True)], axis=0) / w
+    seen = -np.einsum("vk,vkm->m", c, common.by_pose) / w
     missing = np.concatenate([[1.0, *patch.rays[0, :2]], by_camera / w]) - seen
     toward_set, by_common = float(missing @ common.estimate), common.variance(missing) * w * w
     return Match(w, slope, by_pictures, by_poses, rest, toward_set, by_common)
 
 
-def _by_pictures(rows: Sequence[Row], L: Sequence[Array]) -> float:
-    """The depth's variance by the pictures' noise. `L`: d w / d residual, (n,) of each view. (29.8)"""
-    own = sum(float(each @ each) * row.noise for each, row in zip(L, rows, strict=True))
+def _by_pictures(rows: Rows, L: Array) -> float:
+    """The depth's variance by the pictures' noise. `L`: d w / d residual, (V, n). (29.8)"""
+    own = float((L**2).sum(axis=1) @ rows.noise)
     # Half of the residual's noise is the clicked patch's, the same in all views.
-    common = np.sum(L, axis=0)
-    noise = float(np.mean([row.noise for row in rows]))
-    return 0.5 * own + 0.5 * noise * float(common @ common)
+    common = L.sum(axis=0)
+    return 0.5 * own + 0.5 * float(rows.noise.mean()) * float(common @ common)
 
 
-def _by_views(patch: Patch, w: float, views: Sequence[View], by_pixel: Sequence[Array]) -> tuple[list[Array], Array]:
-    """Minus d w / d pose, (6,) of each view, and minus d w / d the camera's errors (5,), of all views together.
+def _by_views(patch: Patch, w: float, views: Sequence[View], by_pixel: Array) -> tuple[Array, Array]:
+    """Minus d w / d pose (V, 6) of each view, and minus d w / d the camera's errors (5,), of all views together.
 
-    `by_pixel`: minus d w / d the click's pixel, (2,) of each view.
+    `by_pixel` (V, 2): minus d w / d the click's pixel.
     """
     each = [by_view(patch, view, w) for view in views]
-    by_pose = [by @ pose for by, (pose, _) in zip(by_pixel, each, strict=True)]
-    return by_pose, np.sum([by @ camera for by, (_, camera) in zip(by_pixel, each, strict=True)], axis=0)
+    by_pose, by_camera = (np.stack(by) for by in zip(*each, strict=True))
+    return np.einsum("vi,vik->vk", by_pixel, by_pose), np.einsum("vi,vik->k", by_pixel, by_camera)

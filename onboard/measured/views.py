@@ -21,7 +21,7 @@ from contract.geodesy import LocalFrame
 from contract.rotations import exp_so3, skew
 from onboard.geometry import camera_errors
 from onboard.geometry.plane_homography import fit_homography, move
-from onboard.measured.common import COMMON, MODES, Shown
+from onboard.measured.common import COMMON, MODES, POSE, Shown
 
 Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]
@@ -164,47 +164,60 @@ def resect(
 
     What disagrees is left out, None if that is most.
     """
-    w, s2 = features.inverse_depth_per_m, features.relative_sigma**2
-    used = np.ones(len(w), bool)
-    sigma_px = PRIOR_SIGMA_PX
+    stated = features.relative_sigma**2
+    s2, sigma_px = stated, PRIOR_SIGMA_PX
     for _ in range(ROUNDS):
         q, J, by_depth = linearised(R, centre_m, features, camera)
         predicted = q[:, :2] / q[:, 2:]
-        residual = np.einsum("nij,nj->ni", by_place(camera, predicted), xy - predicted)
-        cov = s2[:, None, None] * by_depth[:, :, None] * by_depth[:, None] + sigma_px**2 * np.eye(2)
-        W = np.linalg.inv(cov)
-        mahalanobis = np.sqrt(np.einsum("ni,nij,nj->n", residual, W, residual))
+        residual = (by_place(camera, predicted) @ (xy - predicted)[..., None])[..., 0]
+        size, turned = _along_and_across(by_depth)
+        left = (turned @ residual[..., None])[..., 0]
+        whiten = turned / _sigmas(size, s2, sigma_px)[..., None]
+        white = (whiten @ residual[..., None])[..., 0]
+        mahalanobis = np.hypot(*white.T)
         used = mahalanobis < max(CUT, CUT / 1.18 * float(np.median(mahalanobis)))
-        if np.count_nonzero(used) < max(LEAST_FEATURES, LEAST_SHARE * len(w)):
+        if np.count_nonzero(used) < max(LEAST_FEATURES, LEAST_SHARE * len(used)):
             return None
-        JW = np.einsum("nik,nij->nkj", J, W * used[:, None, None])  # (N, 6, 2)
-        N = np.einsum("nki,nil->kl", JW, J)
-        gain = np.linalg.solve(N + 1e-9 * np.diag(np.diag(N)), JW.transpose(1, 0, 2).reshape(6, -1))
-        step = gain @ residual.ravel()
+        whiten[~used] = 0.0
+        WJ = whiten @ J  # (N, 2, 6)
+        flat = WJ.reshape(-1, POSE)
+        N = flat.T @ flat
+        N[np.diag_indices(POSE)] *= 1.0 + 1e-9
+        step = np.linalg.solve(N, flat.T @ (white * used[:, None]).ravel())
         R, centre_m = exp_so3(step[:3]) @ R, centre_m + R.T @ step[3:]
         # Of what is not the features' depth: across the epipolar line nothing of a residual is.
-        across = np.stack([-by_depth[:, 1], by_depth[:, 0]], axis=1)
-        across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12)
-        off = np.abs(np.einsum("ni,ni->n", across, residual))[used]
-        sigma_px = max(1.483 * float(np.median(off)), LEAST_SIGMA_PX)
+        sigma_px = max(1.483 * float(np.median(np.abs(left[used, 1]))), LEAST_SIGMA_PX)
         # Along it a window that lies on more than one surface is off by more than the features' own depth.
-        size = np.maximum(np.linalg.norm(by_depth, axis=1), 1e-12)
-        along = np.einsum("ni,ni->n", by_depth, residual)[used] / size[used]
-        ratio = 1.483 * float(np.median(np.abs(along) / np.sqrt(sigma_px**2 + (size**2 * s2)[used])))
-        grown = max(ratio, 1.0)
-        s2 = features.relative_sigma**2 + np.maximum(grown**2 - 1.0, 0.0) * (
-            features.relative_sigma**2 + sigma_px**2 / size**2
-        )
+        off = np.abs(left[used, 0]) / _sigmas(size, s2, sigma_px)[used, 0]
+        grown = max(1.483 * float(np.median(off)), 1.0)
+        s2 = stated + (grown**2 - 1.0) * (stated + (sigma_px / size) ** 2)
     if sigma_px > MOST_SIGMA_PX:
         return None
-    by_pixel = gain.reshape(6, -1, 2)
-    by_log = np.einsum("kni,ni->kn", by_pixel, -by_depth)
+    gain = np.linalg.solve(N, (WJ.transpose(0, 2, 1) @ whiten).transpose(1, 0, 2).reshape(POSE, -1))
+    by_pixel = np.asarray(gain.reshape(POSE, -1, 2), float)
+    by_log = -(by_pixel * by_depth).sum(axis=2)
     by_camera = pixels_by_camera(R, q, features.by_camera, camera)
     # Along the line, what is more than the features' own depths, the same in all views, is the view's own.
-    more = np.maximum(s2 - features.relative_sigma**2, 0.0)
-    own = more[:, None, None] * by_depth[:, :, None] * by_depth[:, None] + sigma_px**2 * np.eye(2)
-    shown = Shown.of((J, by_depth, by_camera), residual, own, by_pixel)
+    alone: Array = turned / _sigmas(size, s2 - stated, sigma_px)[..., None]
+    shown = Shown.of((J, by_depth, by_camera), residual, alone, by_pixel)
     return R, centre_m, by_pixel, by_log * np.sqrt(s2), sigma_px, shown
+
+
+def _along_and_across(by_depth: Array) -> tuple[Array, Array]:
+    """Return how many pixels features move by d ln w (N,), and the rotations (N, 2, 2) of pixels to along that line and
+    across it. `by_depth` (N, 2).
+    """
+    size = np.maximum(np.hypot(*by_depth.T), 1e-12)
+    x, y = by_depth.T / size
+    x = np.where(size > 1e-12, x, 1.0)
+    return size, np.array([[x, y], [-y, x]]).transpose(2, 0, 1)
+
+
+def _sigmas(size: Array, s2: Array, sigma_px: float) -> Array:
+    """One sigma of features' pixels (N, 2), px, along their lines and across: depths' errors, variance `s2` of their
+    logarithms, are along alone. (29.3)
+    """
+    return np.stack([np.sqrt(size**2 * s2 + sigma_px**2), np.full(len(size), sigma_px)], axis=1)
 
 
 def linearised(R: Array, centre_m: Array, features: Features, camera: Camera) -> tuple[Array, Array, Array]:
@@ -218,7 +231,7 @@ def linearised(R: Array, centre_m: Array, features: Features, camera: Camera) ->
     by_q = by_place(camera, xy) @ by_q
     by_pose = np.concatenate([-skew(q), -w[:, None, None] * np.eye(3)], axis=2)
     by_depth = -w[:, None] * (R @ centre_m)
-    return q, by_q @ by_pose, np.einsum("nij,nj->ni", by_q, by_depth)
+    return q, by_q @ by_pose, (by_q @ by_depth[..., None])[..., 0]
 
 
 def rays_by_camera(camera: Camera, xy: Array) -> Array:
