@@ -24,14 +24,16 @@ from contract.mavlink_camera.messages import fields_of_view_deg
 from contract.rotations import R_ENU_NED, R_GIMBAL_CAM, euler_from_matrix
 from contract.track import TrackReport, TrackState
 from contract.xml_text import element
-from ground.formats.imported import Imported, entered_pin
+from ground.formats.imported import Imported, entered_pin, unix_ns_of
 from ground.formats.mark import MACHINE, Mark
 from ground.formats.xml_text import parsed
 from ground.pins.model import Pin
 
 UNKNOWN = "9999999.0"
 SPOT = "b-m-p-s-m"
-_MARKER = re.compile(r"b-m-p(-|$)|b-r-|b-a-o-|a-.-[GSU]")  # points, casualties, emergencies, things on ground or water
+# Points but those where a sensor looks, casualties, emergencies, things on ground or water.
+_MARKER = re.compile(r"b-m-p(?!-s-p-i)(-|$)|b-r-|b-a-o-|a-.-[GSU]")
+_DELETED = "t-x-d-d"  # what it links to
 _DECLARATION = re.compile(r"<\?xml[^>]*\?>")
 AIRCRAFT = "a-f-A-M-F-Q"  # friendly, airborne, military-style code for an unmanned aircraft: what TAK shows as a drone
 INTEREST = "b-m-p-s-p-i"  # a sensor's: where it looks, and what a program found and no person has confirmed
@@ -162,7 +164,8 @@ def track_event(report: TrackReport, now_unix_ns: int, stale_s: float) -> str | 
 def read(data: bytes, who: str = "", now_unix_ns: int = 0) -> Imported:
     """Markers of one event or many, one after the other or below a root. Raises InputError for what is no event.
 
-    Aircraft, drawings, chat and what else is no place on the ground are left out.
+    Of a marker that was sent again the newest event counts, and one that was deleted is none any more. Aircraft,
+    drawings, chat, where a camera looks and what else is no place on the ground are left out.
     """
     try:
         text = data.decode("utf-8-sig")
@@ -172,12 +175,17 @@ def read(data: bytes, who: str = "", now_unix_ns: int = 0) -> Imported:
     events = list(root.iter("event"))
     if not events:
         raise InputError("not Cursor on Target: no event in it")
-    out = Imported()
-    for found in events:
-        if _MARKER.match(found.get("type", "")) is None:
+    out, newest = Imported(), dict[str, ET.Element]()
+    for number, found in enumerate(sorted(events, key=lambda event: unix_ns_of(event.get("time", "")) or 0)):
+        if found.get("type") == _DELETED:
+            for link in found.iter("link"):
+                newest.pop(link.get("uid", ""), None)
+        elif _MARKER.match(found.get("type", "")) is None:
             out.left_out += 1
-            continue
-        out.take(f"event {found.get('uid', '')[:40]!r}", partial(_pin, found, who, now_unix_ns))
+        else:
+            newest[found.get("uid") or f"event {number}"] = found
+    for uid, found in newest.items():
+        out.take(f"event {uid[:40]!r}", partial(_pin, found, who, now_unix_ns))
     return out.checked()
 
 

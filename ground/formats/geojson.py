@@ -16,6 +16,7 @@ from typing import Any
 
 from contract.circular_error import CE90_SIGMAS, LE90_SIGMAS
 from contract.errors import InputError
+from contract.geodesy import within_180
 from ground.formats.coordinates import Grid
 from ground.formats.imported import Imported, entered_pin
 from ground.formats.mark import Mark
@@ -111,10 +112,11 @@ def read(data: bytes, who: str = "", now_unix_ns: int = 0) -> Imported:
         whole = feature.get(WHOLE) if isinstance(feature, dict) else None
         if isinstance(whole, dict):
             out.take(f"feature {index}", partial(_whole, out, whole))
-        elif isinstance(feature, dict) and not _is_point(feature.get("geometry")):
+        elif isinstance(feature, dict) and not (points := _points(feature.get("geometry"))):
             out.left_out += 1
         else:
-            out.take(f"feature {index}", partial(_pin, feature, who, now_unix_ns))
+            for coordinates in points if isinstance(feature, dict) else [None]:
+                out.take(f"feature {index}", partial(_pin, feature, coordinates, who, now_unix_ns))
     return out.checked()
 
 
@@ -135,8 +137,12 @@ def _whole(out: Imported, whole: dict[str, Any]) -> Pin:
     return pin
 
 
-def _is_point(geometry: object) -> bool:
-    return isinstance(geometry, dict) and geometry.get("type") == "Point"
+def _points(geometry: object) -> list[object]:
+    """The coordinates of a Point or of each point of a MultiPoint; none of any other geometry."""
+    kind, found = (geometry.get("type"), geometry.get("coordinates")) if isinstance(geometry, dict) else ("", None)
+    if kind == "MultiPoint" and isinstance(found, list):
+        return list(found)
+    return [found] if kind == "Point" else []
 
 
 def _crops_read(content: object) -> dict[str, bytes]:
@@ -148,11 +154,12 @@ def _crops_read(content: object) -> dict[str, bytes]:
         raise InputError(f"a crop is not base64 ({error})") from error
 
 
-def _pin(feature: object, who: str, now_unix_ns: int) -> Pin:
+def _pin(feature: object, coordinates: object, who: str, now_unix_ns: int) -> Pin:
     """A point's as an entered position. Raises InputError for no place, OverflowError for a number beyond any."""
     if not isinstance(feature, dict):
         raise InputError("not an object")
-    coordinates = feature["geometry"].get("coordinates")
+    for stated in (feature, feature["geometry"]):
+        _check_crs(stated)
     numbers = coordinates if isinstance(coordinates, list) and 2 <= len(coordinates) <= 4 else []
     if not numbers or not all(isinstance(c, int | float) and not isinstance(c, bool) for c in numbers):
         raise InputError("coordinates are longitude, latitude and perhaps height")
@@ -163,13 +170,18 @@ def _pin(feature: object, who: str, now_unix_ns: int) -> Pin:
         raise InputError("metres rather than degrees: its coordinates are of another system than WGS84 (EPSG:4326)")
     # A height of exactly 0 is what CalTopo and others write for one that they do not know.
     return entered_pin(
-        lat_deg=float(numbers[1]), lon_deg=float(numbers[0]),
+        lat_deg=float(numbers[1]), lon_deg=_lon_deg(float(numbers[0])),
         height_ellipsoid_m=float(numbers[2]) if len(numbers) > 2 and numbers[2] != 0 else None,
         sigma_m=None if ce90 is None else ce90 / CE90_SIGMAS,
         sigma_height_m=None if le90 is None else le90 / LE90_SIGMAS,
         name=about.get("name") or about.get("title"), note=about.get("note") or about.get("description"),
         category=about.get("category"), who=who, time_text=about.get("time"), now_unix_ns=now_unix_ns,
     )  # fmt: skip
+
+
+def _lon_deg(value: float) -> float:
+    """A longitude that a map counted on beyond the date line, as it is on this side of it."""
+    return value if abs(value) <= 180.0 else within_180(value)
 
 
 def _positive(value: object) -> float | None:

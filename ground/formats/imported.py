@@ -58,6 +58,8 @@ def entered_pin(
     now_unix_ns: int = 0,
 ) -> Pin:
     """A pin at a place that was not clicked; texts are cut to what is kept. Raises InputError for no such place."""
+    if lat_deg == 0.0 and lon_deg == 0.0:
+        raise InputError("latitude and longitude are both exactly 0: what programs write where there is no place")
     words = {c.value for c in Category}
     when = unix_ns_of(time_text) if isinstance(time_text, str) else None
     click = PinClick.entered(

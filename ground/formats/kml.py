@@ -24,6 +24,7 @@ from ground.pins.model import Pin
 _COLOURS = {"person": "ff00a5ff", "vehicle": "ffff901e", "fire": "ff0000ff", "hazard": "ff00ffff", "poi": "ff98fb98"}
 _ELLIPSE_POINTS = 32
 ELLIPSES = "90 % ellipses"
+ZIP = b"PK"  # how an archive begins
 
 
 def write(marks: Sequence[Mark], grid: Grid | None = None) -> str:
@@ -110,22 +111,32 @@ def outline(mark: Mark) -> list[tuple[float, float]]:
 
 
 def read(data: bytes, who: str = "", now_unix_ns: int = 0) -> Imported:
-    """Placemarks with a point, of KML or KMZ. Raises InputError for what is neither."""
-    root = parsed(_unpacked(data) if data[:2] == b"PK" else data, "KML")
-    if root.tag != "kml":
-        raise InputError(f"not KML: its root is {root.tag[:40]!r}")
+    """Placemarks' points, of KML or of all documents of a KMZ. Raises InputError for what is neither."""
+    roots = [parsed(document, "KML") for document in _documents(data)]
+    for root in roots:
+        if root.tag != "kml":
+            raise InputError(f"not KML: its root is {root.tag[:40]!r}")
     out = Imported()
+    for root in roots:
+        _take_all(out, root, data[:2] == ZIP, who, now_unix_ns)
+    return out.checked()
+
+
+def _take_all(out: Imported, root: ET.Element, is_packed: bool, who: str, now_unix_ns: int) -> None:
+    """Take the points of one document; a link to places that are elsewhere is noted as one that cannot be read."""
     ours = {id(p) for folder in root.iter("Folder") if folder.findtext("name") == ELLIPSES for p in folder}
     for place in root.iter("Placemark"):
         if id(place) in ours:
             continue
-        point = _point(place)
-        if point is None:
-            out.left_out += 1
-            continue
+        points = list(place.iter("Point"))  # deeper too, as in a MultiGeometry
+        out.left_out += not points
         name = place.findtext("name", "")[:40]
-        out.take(f"placemark {name!r}", partial(_pin, place, point, who, now_unix_ns))
-    return out.checked()
+        for point in points:
+            out.take(f"placemark {name!r}", partial(_pin, place, point, who, now_unix_ns))
+    for link in root.iter("NetworkLink"):
+        href = next((h.text.strip() for h in link.iter("href") if h.text), "")
+        if not (is_packed and "://" not in href):
+            out.bad.append(f"link {link.findtext('name', '')[:40]!r}: its places are in {href[:80]!r}: import that")
 
 
 def _pin(place: ET.Element, point: ET.Element, who: str, now_unix_ns: int) -> Pin:
@@ -150,26 +161,25 @@ def _pin(place: ET.Element, point: ET.Element, who: str, now_unix_ns: int) -> Pi
     )  # fmt: skip
 
 
-def _unpacked(data: bytes) -> bytes:
-    """The document of a KMZ: doc.kml, or the first .kml in it. Raises InputError."""
+def _documents(data: bytes) -> list[bytes]:
+    """A document, or those of a KMZ, doc.kml first: what it links to in the archive is meant too. Raises InputError."""
+    if data[:2] != ZIP:
+        return [data]
+    found, left = [], MAX_BYTES
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             names = [name for name in archive.namelist() if name.lower().endswith(".kml")]
             if not names:
                 raise InputError("not KMZ: no .kml in the archive")
-            with archive.open("doc.kml" if "doc.kml" in names else names[0]) as stream:
-                content = stream.read(MAX_BYTES + 1)
+            for name in sorted(names, key=lambda name: name != "doc.kml"):
+                with archive.open(name) as stream:
+                    found.append(stream.read(left + 1))
+                left -= len(found[-1])
+                if left < 0:
+                    raise InputError(f"KMZ: its documents are larger than {MAX_BYTES // 1_000_000} MB")
     except (zipfile.BadZipFile, NotImplementedError, RuntimeError, OSError, EOFError, ValueError, zlib.error) as error:
         raise InputError(f"not KMZ ({error})") from error
-    if len(content) > MAX_BYTES:
-        raise InputError(f"KMZ: its document is larger than {MAX_BYTES // 1_000_000} MB")
-    return content
-
-
-def _point(place: ET.Element) -> ET.Element | None:
-    """Its own, or one deeper, as in a MultiGeometry."""
-    own = place.find("Point")
-    return next(place.iter("Point"), None) if own is None else own
+    return found
 
 
 def _extended(place: ET.Element) -> dict[str, str]:

@@ -16,6 +16,7 @@ from ground.formats.coordinate_text import read_coordinate
 from ground.formats.coordinates import Grid
 from ground.formats.imported import Imported, entered_pin
 from ground.formats.mark import Mark
+from ground.formats.split_columns import HALVES, SplitColumns
 from ground.pins.model import Pin
 
 # What a spreadsheet takes for the beginning of a formula, also after blanks (OWASP, CSV injection).
@@ -91,13 +92,14 @@ def read(data: bytes, who: str = "", now_unix_ns: int = 0) -> Imported:
         rows = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)
         names = next(rows, [])
         columns = _columns(names)
+        split = SplitColumns.of(names, columns)
         for cells in rows:
             got = {name: cells[k] for name, k in columns.items() if k < len(cells)}
             if not got.get("lat_deg", "").strip():
                 out.left_out += any(cell.strip() for cell in cells)
                 continue
-            beyond = "".join(cells[len(names) :]).strip()
-            out.take(f"CSV, line {rows.line_num}", partial(_pin, got, beyond, delimiter != ",", who, now_unix_ns))
+            make = partial(_pin, got, cells, len(names), split, delimiter != ",", who, now_unix_ns)
+            out.take(f"CSV, line {rows.line_num}", make)
     except (csv.Error, UnicodeDecodeError) as error:
         raise InputError(f"not a CSV file ({error})") from error
     return out.checked()
@@ -131,10 +133,19 @@ def _columns(names: Sequence[str]) -> dict[str, int]:
     return found
 
 
-def _pin(got: dict[str, str], beyond: str, has_decimal_commas: bool, who: str, now_unix_ns: int) -> Pin:
-    """One row's; `beyond` is in cells that no column names. Raises InputError."""
-    if beyond:
+def _pin(
+    got: dict[str, str],
+    cells: Sequence[str],
+    width: int,
+    split: SplitColumns,
+    has_decimal_commas: bool,
+    who: str,
+    now_unix_ns: int,
+) -> Pin:
+    """One row's, of a table whose first line names `width` columns. Raises InputError."""
+    if "".join(cells[width:]).strip():
         raise InputError("more cells than the first line names: a text or a number with a comma needs quotes")
+    split.check_system(cells)
 
     def number(name: str) -> float | None:
         text = got.get(name, "").strip()
@@ -144,15 +155,18 @@ def _pin(got: dict[str, str], beyond: str, has_decimal_commas: bool, who: str, n
         except ValueError as error:
             raise InputError(f"{name}: {text[:40]!r} is not a number") from error
 
-    try:
-        lat, lon = number("lat_deg"), number("lon_deg")
-    except InputError:  # degrees with minutes, or with letters
-        cells = [got.get(name, "").replace(",", ".") for name in ("lat_deg", "lon_deg")]
-        place = read_coordinate(" ".join(cells))
-        lat, lon = place.lat_deg, place.lon_deg
-    ce90, le90 = number("ce90_m"), number("le90_m")
-    if lat is None or lon is None:
+    degrees = {name: got.get(name, "") for name in HALVES}
+    if not degrees["lon_deg"].strip():
         raise InputError("no longitude")
+    place = split.place(cells, degrees)
+    try:
+        lat, lon = place or (number("lat_deg"), number("lon_deg"))
+    except InputError:  # degrees with minutes, or with letters
+        read = read_coordinate(" ".join(text.replace(",", ".") for text in degrees.values()))
+        lat, lon = read.lat_deg, read.lon_deg
+    assert lat is not None
+    assert lon is not None
+    ce90, le90 = number("ce90_m"), number("le90_m")
     return entered_pin(
         lat_deg=lat, lon_deg=lon, height_ellipsoid_m=number("height_ellipsoid_m"),
         height_amsl_m=number("height_amsl_m"), sigma_m=None if ce90 is None else ce90 / CE90_SIGMAS,

@@ -373,6 +373,8 @@ class PinStore:
         It keeps our number; of a pin that is new here the number may be taken.
         """
         if pin.modified_unix_ns > self._now_ns() + MAX_AHEAD_NS:
+            if revive:  # whoever imports a file wants its pins, whatever clock wrote it; over ours it cannot be judged
+                return replace(pin, modified_unix_ns=self._now_ns()) if held is None else None
             raise InputError(f"pin {pin.number} by {pin.modified_by!r}: stamped more than a day ahead of this clock")
         if revive and held is not None and held.is_deleted and not pin.is_deleted:
             # A user who imports a file wants what is in it, also what was deleted here since.

@@ -190,3 +190,96 @@ def test_the_samples_of_what_people_bring_are_read(shared_data: Path) -> None:
     assert {name: (len(found.pins), len(found.bad)) for name, found in counts.items()} == {
         "a.kmz": (1, 0), "caltopo.geojson": (1, 0), "one_empty.kml": (1, 1), "onebad.gpx": (1, 1),
     }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("table_text", "expected"),
+    [
+        ("lat,ns,lon,ew\n43.38,S,72.40,W\n", (-43.38, -72.40)),
+        ("lat,lat_dir,lon,lon_dir\n-43.38,S,72.40,West\n", (-43.38, -72.40)),
+        ("latitude,N/S,longitude,E/W\n43.38,n,72.40,e\n", (43.38, 72.40)),
+        ("lat,lat_min,lat_sec,NS,lon,lon_min,lon_sec,EW\n43,22,48,S,172,24,0,E\n", (-43.38, 172.40)),
+        ("lat;min;sec;ns;lon;min;sec;ew\n43;22;48,0;S;172;24;0;E\n", (-43.38, 172.40)),
+        ("lat_deg,lat_min,lon_deg,lon_min\n-43,22.8,172,24\n", (-43.38, 172.40)),
+        ("lat_deg,lat_min,lon_deg,lon_min\n-43.38,,172.40,\n", (-43.38, 172.40)),
+        ("lat,lon,datum\n-43.38,172.40,WGS 84\n", (-43.38, 172.40)),
+        ("lat,lon,crs\n-43.38,172.40,urn:ogc:def:crs:OGC:1.3:CRS84\n", (-43.38, 172.40)),
+        ("lat,lon,crs,x,y\n-43.38,172.40,EPSG:2193,1,2\n", (-43.38, 172.40)),
+        ("lat,lon,checked,minutes\n-43.38,172.40,N,12\n", (-43.38, 172.40)),
+    ],
+)
+def test_columns_beside_the_degrees_are_part_of_a_place(table_text: str, expected: tuple[float, float]) -> None:
+    (pin,) = read_pins_of("a.csv", table_text.encode()).pins
+    assert (pin.clicks[0].lat_deg, pin.clicks[0].lon_deg) == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("table_text", "words"),
+    [
+        ("lat,lon,datum\n52,5,ED50\n", "of 'ED50', and WGS84 is needed"),
+        ("lat,lon,EPSG\n52,5,14326\n", "of '14326', and WGS84 is needed"),
+        ("lat,lat_min,lon,lon_min\n43,22.8,172,24\n", "which hemisphere"),
+        ("lat,lat_sec,lon,lon_sec\n-43,22.8,172,24\n", "seconds without minutes"),
+        ("lat,ns,lon\n43,S,172\n", "a hemisphere for one number only"),
+        ("lat,ns,lon,ew\n-43,N,172,E\n", "both a sign and a hemisphere"),
+        ("lat,ns,lon,ew\n43,x,172,E\n", "'x' is no hemisphere"),
+        ("lat,lon\n0,0.0\n", "both exactly 0"),
+    ],
+)
+def test_a_table_whose_columns_leave_a_doubt_is_refused(table_text: str, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        read_pins_of("a.csv", table_text.encode())
+
+
+def test_every_point_of_a_file_becomes_a_pin() -> None:
+    kml = "<kml><Document>{}</Document></kml>"
+    point = "<Point><coordinates>{},47</coordinates></Point>"
+    place = "<Placemark><name>A</name>{}</Placemark>"
+    several = place.format(f"<MultiGeometry>{point.format(8)}{point.format(9)}</MultiGeometry>")
+    link = "<NetworkLink><name>more</name><Link><href>{}</href></Link></NetworkLink>"
+    found = read_pins_of("a.kml", kml.format(several + link.format("https://example.org/b.kml")).encode())
+    assert [lon for _, _, lon in places(found)] == [8.0, 9.0]
+    assert found.bad == ["link 'more': its places are in 'https://example.org/b.kml': import that"]
+
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w") as archive:
+        archive.writestr("more/b.kml", kml.format(place.format(point.format(9))))
+        archive.writestr("doc.kml", kml.format(place.format(point.format(8)) + link.format("more/b.kml")))
+    found = read_pins_of("a.kmz", packed.getvalue())
+    assert ([lon for _, _, lon in places(found)], found.bad) == ([8.0, 9.0], [])
+
+    several_json = b'{"type":"Feature","geometry":{"type":"MultiPoint","coordinates":[[8,47],[9,47]]}}'
+    assert [lon for _, _, lon in places(read_pins_of("a.geojson", several_json))] == [8.0, 9.0]
+
+
+def test_longitudes_that_a_map_counted_on_are_brought_back() -> None:
+    """Maps in browsers count on beyond the date line."""
+    found = read_pins_of("a.geojson", of_features("[-187.5,-16.8]"))
+    assert places(found) == [("B", -16.8, 172.5)]
+
+
+def test_a_feature_may_name_its_own_system() -> None:
+    crs = '"crs":{"type":"name","properties":{"name":"EPSG:4230"}}'
+    for text in (
+        f'{{"type":"Feature",{crs},"geometry":{{"type":"Point","coordinates":[5,52]}}}}',
+        f'{{"type":"Feature","geometry":{{"type":"Point",{crs},"coordinates":[5,52]}}}}',
+    ):
+        with pytest.raises(InputError, match="are of EPSG:4230"):
+            read_pins_of("a.geojson", text.encode())
+
+
+def test_of_a_marker_that_was_sent_again_the_newest_event_counts() -> None:
+    """A log of a network holds a marker that is sent again every ten seconds a hundred times, and where it was once."""
+
+    def event(uid: str, kind: str, second: int, lat_deg: float, more: str = "") -> str:
+        return (
+            f'<event version="2.0" uid="{uid}" type="{kind}" time="2026-11-30T00:00:{second:02d}Z">'
+            f'<point lat="{lat_deg}" lon="172" hae="9999999" ce="10" le="9999999"/><detail>{more}</detail></event>'
+        )
+
+    sent = [event("a", "b-m-p-s-m", 20, -43.2), *(event("a", "b-m-p-s-m", s, -43.1) for s in (1, 2, 3))]
+    sent += [event("b", "b-m-p-s-m", 4, -44.0), event("x", "t-x-d-d", 5, 0.0, '<link uid="b"/>')]
+    sent += [event("uav.SPI1", "b-m-p-s-p-i", 6, -45.0)]  # where a camera looks
+    found = read_pins_of("a.cot", "".join(sent).encode())
+    assert [lat for _, lat, _ in places(found)] == [-43.2]
+    assert found.left_out == 1

@@ -259,6 +259,18 @@ def test_of_two_servers_the_last_writer_wins_on_both(path: Path | str, tmp_path:
         assert changed == 0 and "ahead" in why
 
 
+def test_a_file_that_a_wrong_clock_wrote_is_taken_but_for_what_is_here(path: Path | str) -> None:
+    with PinStore(path) as store:
+        ours = store.add([typed()], name="ours")
+        ahead = 2**62
+        theirs = [dataclasses.replace(ours, id=name, name=name) for name in ("right", "wrong")]
+        theirs[1] = dataclasses.replace(theirs[1], modified_unix_ns=ahead)
+        over = dataclasses.replace(ours, name="theirs", modified_unix_ns=ahead)
+        assert store.bring_in([*theirs, over]) == 2
+        assert [pin.name for pin in store.pins()] == ["ours", "right", "wrong"]
+        assert all(pin.modified_unix_ns < ahead for pin in store.pins())
+
+
 def test_ties_are_kept_judged_undone(path: Path | str) -> None:
     rng = np.random.default_rng(21)
     clicks = sightings(rng, np.array([0.0, 1.0]), np.array([TARGET, LANDMARK]))
