@@ -202,7 +202,7 @@ c-header:
 	$(call from_debian,{ command -v cc >/dev/null && test -f /usr/include/linux/videodev2.h; },gcc libc6-dev,the test against the C header)
 
 chromium:
-	$(call from_debian,command -v chromium >/dev/null,chromium,the tests of the page in a browser)
+	$(call from_debian,command -v chromium-headless-shell >/dev/null,chromium-headless-shell,the tests of the page in a browser)
 
 # A server of pins, which the tests start themselves.
 POSTGRESQL := $(shell sed -n 's/^PACKAGES = "\(.*\)"/\1/p' tests/postgres.py)
