@@ -29,6 +29,7 @@ from ground.dropped_messages import DroppedMessages
 
 T = TypeVar("T")
 
+SOME = 5  # sets of a session that are looked at where a recording seems to hold several
 NEIGHBOURS = 2  # messages before and after one, that show when it was recorded
 _Found = tuple[str, str, int, int, int]  # topic, encoding, start, length and log time (ns) of a message
 _FRAMES_BEFORE, _FRAMES_AFTER = names.FRAMES.split("{vehicle}")
@@ -57,12 +58,15 @@ class _Index:
     frames: dict[str, list[tuple[int, int, int]]] = field(
         default_factory=dict
     )  # by vehicle: file, start, length of frame events
+    # By vehicle and session: where some of its sets are.
+    sessions: dict[str, dict[int, list[tuple[int, int, int]]]] = field(default_factory=dict)
     # Keys, places and log times of the reports, by topic and vehicle.
     reports: dict[tuple[str, str], list[tuple[str, int, int, int, int]]] = field(default_factory=dict)
 
 
 class Recording:
-    """The sets of a session, indexed once. Raises InputError for what is no recording of this project.
+    """The sets of a session, indexed once. Raises InputError for what is no recording of this project, and for one of
+    several sessions, as files that were joined or renamed are: a frame's number would mean a picture of each.
 
     `path` is any of the session's files, or a folder that holds one session. `damage` reports, a line each, where a
     file is damaged so that records are missing; a file that ends early is not.
@@ -88,6 +92,8 @@ class Recording:
         self.damage += [f"recording {self.path}: {line}" for line in self._foreign.lines()]
         if not self._index.sets:
             raise InputError("; ".join([f"recording {self.path}: holds no feature sets", *self._foreign.lines()]))
+        for name in self._index.sets:
+            self._check_is_one_session(name)
         self._newest_ns = {
             name: max(held.capture_unix_ns for held in sets.values()) for name, sets in self._index.sets.items()
         }
@@ -185,6 +191,26 @@ class Recording:
         except WireError as error:
             raise InputError(f"recording {self.path}: the set of frame {held.frame}: {error}") from error
 
+    def _check_is_one_session(self, vehicle: str) -> None:
+        """Raise InputError for sets of several sessions; a number that damage made is none."""
+        found = self._index.sessions[vehicle]
+        if len(found) < 2:
+            return
+        whole = [session for session, some in sorted(found.items()) if any(self._is_whole(*at) for at in some)]
+        if len(whole) > 1:
+            listed = ", ".join(str(session) for session in whole[:3]) + ", ..." * (len(whole) > 3)
+            raise InputError(
+                f"recording {self.path}: holds {len(whole)} sessions of {vehicle!r} ({listed}), whose frames have the "
+                "same numbers: give the recording of one session"
+            )
+
+    def _is_whole(self, file: int, start: int, length: int) -> bool:
+        try:
+            decode(bytes(self._data[file][start : start + length]))
+        except (WireError, ValueError):
+            return False
+        return True
+
     def _note(self, topic: str, encoding: str, file: int, start: int, length: int, log_ns: int) -> None:
         kind = _recorded(topic, encoding)
         if kind is SETS:
@@ -195,6 +221,9 @@ class Recording:
                 return
             except (WireError, ValueError):
                 return  # not one of our sets; a damaged one is found by its checksum when it is asked for
+            some = self._index.sessions.setdefault(identity.vehicle, {}).setdefault(identity.session, [])
+            if len(some) < SOME:
+                some.append((file, start, length))
             sets = self._index.sets.setdefault(identity.vehicle, {})
             held = sets.get(identity.frame)
             if held is None or held.revision <= identity.revision:

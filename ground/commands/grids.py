@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import sys
 
 from ground.commands.values import origin
-from ground.formats.coordinates import Grid, LocalGrid, Projection
+from ground.commands.warnings import Warnings
+from ground.formats.coordinates import Grid, LocalGrid, Projected, Projection
 
 
 def add_grid_arguments(parser: argparse.ArgumentParser) -> None:
@@ -19,19 +19,22 @@ def add_grid_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def grid_of(args: argparse.Namespace) -> Grid | None:
-    """The coordinate system that was chosen, if any; warns of one less accurate than the best. Raises InputError for an
-    unknown one.
+    """The coordinate system that was chosen, if any; it warns where the change of datum adds to an error. Raises
+    InputError for an unknown one.
     """
     if args.local is not None:
         return LocalGrid(*args.local)
-    if args.crs is None:
-        return None
-    found = Projection(args.crs)
-    if not found.is_best:
-        accuracy = "unknown" if found.accuracy_m is None else f"{found.accuracy_m:g} m"
-        print(
-            f"pc-ground: warning: the best way to {found.name} ({found.title}) needs a grid file that is not here; "
-            f"this one's accuracy is {accuracy}",
-            file=sys.stderr,
-        )
-    return found
+    return None if args.crs is None else _WarningProjection(args.crs)
+
+
+class _WarningProjection(Projection):
+    """A projection that prints what its changes of datum add to the error, each sentence once."""
+
+    def __init__(self, code: str) -> None:
+        super().__init__(code)
+        self._warnings = Warnings()
+
+    def project(self, lat_deg: float, lon_deg: float) -> Projected:
+        found = super().project(lat_deg, lon_deg)
+        self._warnings.show([f"{self.name} ({self.title}), {found.doubt}"] if found.doubt else [])
+        return found

@@ -15,6 +15,7 @@ from contract.errors import InputError
 from contract.geodesy import LocalFrame
 from ground.formats.mark import Mark
 
+USUAL_M = 1.0  # the accuracy that EPSG states for systems that differ from WGS84 by the drift of continents alone
 _DECIMALS = {"degrees": 7, "minutes": 5, "seconds": 3}
 
 
@@ -91,12 +92,25 @@ class Projected:
     y_name: str
     is_degrees: bool
     accuracy_m: float | None  # of the change of datum; None: not known
+    is_best: bool = True  # no better change of datum is known there, whose grid file is not here
 
     @property
     def text(self) -> str:
-        """Both with their names, to the millimetre."""
+        """Both with their names, to the millimetre, and what the change of datum may add to their error."""
         digits = 9 if self.is_degrees else 3
-        return f"{self.x_name} {self.x:.{digits}f} {self.y_name} {self.y:.{digits}f}"
+        doubt = f" ({self.doubt})" if self.doubt else ""
+        return f"{self.x_name} {self.x:.{digits}f} {self.y_name} {self.y:.{digits}f}{doubt}"
+
+    @property
+    def doubt(self) -> str:
+        """The error of the change of datum, in words; empty where it is no more than that of any."""
+        if self.accuracy_m is None:
+            words = "no change of datum is known: may be hundreds of metres off"
+        elif self.accuracy_m > USUAL_M:
+            words = f"+-{self.accuracy_m:g} m by the change of datum"
+        else:
+            return ""
+        return words if self.is_best else f"{words}; a better one needs a grid file that is not here"
 
 
 class Grid(ABC):
@@ -140,15 +154,13 @@ class Projection(Grid):
         self.name = ":".join(crs.to_authority() or ()) or code
         self.title = crs.name
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # that a better way needs a grid: `is_best` reports it
+            warnings.simplefilter("ignore")  # that a better way needs a grid: `Projected.is_best`
             group = pyproj.transformer.TransformerGroup("EPSG:4326", crs, always_xy=True)
         if not group.transformers:
             raise InputError(f"--crs {code}: no way from WGS84 to {crs.name}")
-        self._transformer = group.transformers[0]
-        accuracy = self._transformer.accuracy
-        self.accuracy_m = None if accuracy is None or accuracy < 0.0 else float(accuracy)
-        # A better way that needs a grid file that is not here.
-        self.is_best = bool(group.best_available)
+        # The ways that are here, and those whose grid files are not: each with its accuracy and where it is good.
+        self._ways = [(way, _accuracy_m(way), way.area_of_use) for way in group.transformers]
+        self._missing = [(_accuracy_m(way), way.area_of_use) for way in group.unavailable_operations]
         # As the system lists its axes, which may be north first; a name without a direction is known by its position.
         first, second = ((axis.abbrev or axis.name, axis.direction) for axis in crs.axis_info[:2])
         is_north_first = first[1] in ("north", "south") and second[1] not in ("north", "south")
@@ -163,20 +175,47 @@ class Projection(Grid):
         """Raises InputError for a place where the system does not hold."""
         if not self._reaches(lat_deg, lon_deg):
             raise InputError(f"{self.name} ({self.title}) does not reach {lat_deg:.6f} {lon_deg:.6f}")
-        x, y = (float(c) for c in self._transformer.transform(lon_deg, lat_deg)[:2])
+        way, accuracy_m = self._way(lat_deg, lon_deg)
+        x, y = (float(c) for c in way.transform(lon_deg, lat_deg)[:2])
         if not (math.isfinite(x) and math.isfinite(y)):
             raise InputError(f"{self.name} ({self.title}) does not reach {lat_deg:.6f} {lon_deg:.6f}")
-        return Projected(self.name, x, y, self._x_name, self._y_name, self._is_degrees, self.accuracy_m)
+        missing = (better_m for better_m, area in self._missing if _holds(area, lat_deg, lon_deg))
+        is_best = min(missing, default=math.inf) >= accuracy_m
+        accuracy = accuracy_m if math.isfinite(accuracy_m) else None
+        return Projected(self.name, x, y, self._x_name, self._y_name, self._is_degrees, accuracy, is_best)
+
+    def _way(self, lat_deg: float, lon_deg: float) -> tuple[Any, float]:
+        """The change of datum that is most accurate at a place, and its accuracy, m. They differ by country."""
+        there = [way for way in self._ways if _holds(way[2], lat_deg, lon_deg)] or self._ways
+        # Of two that are as good the one for the smaller area: the box about Italy's mainland holds Sardinia too.
+        way, accuracy_m, _ = min(there, key=lambda way: (way[1], _size_deg2(way[2])))
+        return way, accuracy_m
 
     def _reaches(self, lat_deg: float, lon_deg: float) -> bool:
         """Return whether the system was made for this place, or for one within 3 degrees of it."""
-        if self._area is None:
-            return True
-        west, south, east, north = self._area.bounds
-        width = (east - west) % 360.0 or 360.0
-        margin = 3.0
-        is_between = (lon_deg - west + margin) % 360.0 <= min(width + 2.0 * margin, 360.0)
-        return bool(is_between and south - margin <= lat_deg <= north + margin)
+        return _holds(self._area, lat_deg, lon_deg, margin_deg=3.0)
+
+
+def _accuracy_m(way: Any) -> float:
+    """The stated accuracy of a change of datum; infinite where none is, as of one that leaves the datum as it is."""
+    return math.inf if way.accuracy is None or way.accuracy < 0.0 else float(way.accuracy)
+
+
+def _size_deg2(area: Any) -> float:
+    if area is None:
+        return math.inf
+    west, south, east, north = area.bounds
+    return float(((east - west) % 360.0 or 360.0) * (north - south))
+
+
+def _holds(area: Any, lat_deg: float, lon_deg: float, margin_deg: float = 0.0) -> bool:
+    """Return whether an area of use holds a place, or is within a margin of it; None is everywhere."""
+    if area is None:
+        return True
+    west, south, east, north = area.bounds
+    width = (east - west) % 360.0 or 360.0
+    is_between = (lon_deg - west + margin_deg) % 360.0 <= min(width + 2.0 * margin_deg, 360.0)
+    return bool(is_between and south - margin_deg <= lat_deg <= north + margin_deg)
 
 
 def library(name: str) -> Any:

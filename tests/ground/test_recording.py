@@ -56,6 +56,25 @@ def session(tmp_path: Path) -> Path:
     return path
 
 
+def test_a_recording_of_two_sessions_is_refused(tmp_path: Path) -> None:
+    """Two flights joined, or a part of one named as a part of another: frame 3 would be whichever came last."""
+    for part, session in ((1, BASE.session), (2, BASE.session + 3600)):
+        with SessionRecorder(tmp_path / f"day.{part:03d}.mcap", "uav-1") as out:
+            for frame in range(4):
+                out.write_set(dataclasses.replace(a_set(frame), session=session))
+    with pytest.raises(InputError, match=f"holds 2 sessions of 'uav-1' \\({BASE.session}, {BASE.session + 3600}\\)"):
+        Recording(tmp_path / "day.001.mcap")
+
+
+def test_a_damaged_session_number_is_no_second_session(session: Path) -> None:
+    data = bytearray(session.read_bytes())
+    one = encode(a_set(3))
+    at = data.index(one)
+    data[at + next(k for k in range(len(one)) if one[k : k + 4] == BASE.session.to_bytes(4, "little"))] ^= 1
+    session.write_bytes(data)
+    assert Recording(session).by_frame("uav-1", 4).session == BASE.session
+
+
 def test_sets_are_found_by_frame_time_name_and_as_the_newest_that_answers(session: Path) -> None:
     recording = Recording(session)
     assert recording.vehicles == ["uav-1"]

@@ -225,6 +225,37 @@ def test_any_epsg_system_with_its_own_names_and_accuracy() -> None:
         Projection("EPSG:27700").of(mark)
 
 
+@pytest.mark.parametrize(
+    ("code", "lat_deg", "lon_deg"),
+    [
+        ("EPSG:4267", 61.0, -150.0),  # NAD27 in Alaska, where the way for Canada is 48 m off
+        ("EPSG:4267", 18.0, -66.0),
+        ("EPSG:26711", 36.0, -117.0),
+        ("EPSG:4230", 40.0, -4.0),  # ED50 in Spain: 10 m
+        ("EPSG:23030", 40.0, -4.0),
+        ("EPSG:4265", 40.0, 9.0),  # Monte Mario in Sardinia: 7 m
+        ("EPSG:3004", 38.0, 14.0),
+        ("EPSG:5514", 50.0, 15.0),
+        ("EPSG:4209", -15.0, 28.0),
+    ],
+)
+def test_the_change_of_datum_is_that_of_the_place(code: str, lat_deg: float, lon_deg: float) -> None:
+    """Systems that reach over many countries have a change of datum for each: PROJ itself chooses by the place."""
+    p = Projection(code).project(lat_deg, lon_deg)
+    x, y = pyproj.Transformer.from_crs(4326, code, always_xy=True).transform(lon_deg, lat_deg)
+    metres = 111e3 if p.is_degrees else 1.0
+    assert np.hypot(p.x - x, p.y - y) * metres < 0.5
+
+
+def test_a_change_of_datum_that_is_not_known_is_said_with_the_coordinate() -> None:
+    unknown = Projection("EPSG:31700").project(46.0, 25.0)
+    assert unknown.accuracy_m is None and "may be hundreds of metres off" in unknown.text
+    poor = Projection("EPSG:4267").project(61.0, -150.0)
+    assert poor.accuracy_m is not None and poor.accuracy_m > 1.0 and "m by the change of datum" in poor.text
+    for code, lat_deg, lon_deg in (("EPSG:2193", -43.38, 172.4), ("EPSG:32759", -43.38, 172.4)):
+        assert Projection(code).project(lat_deg, lon_deg).doubt == ""
+
+
 def test_metres_from_an_origin() -> None:
     geod = pyproj.Geod(ellps="WGS84")
     lon, lat, _ = geod.fwd(172.4, -43.4, 30.0, 1000.0)
