@@ -8,5 +8,6 @@ Public:
   `FALSE_ALARM`, `CLEAR`, `RARE`, `MOST_OF`, `FORGOTTEN`
 - `navigator`: `NavState`, `Navigation`
 - `position_interpolation`: `Displacement`
+- `position_jumps`: `EXPLAINED_SHARE`, `GLITCH_SIGMAS`
 - `position_slip`: `DYNAMIC_TIME_S`
 """

@@ -40,6 +40,8 @@ class Style:
     rtk: bool = False
     offset_m: tuple[float, float, float] = (0.8, -0.6, 12.0)  # east, north, up: of all positions
     white_m: float = 0.2
+    step_m: tuple[float, float, float] = (0.0, 0.0, 0.0)  # more, of the positions of some pictures
+    stepped: range = range(0)
     gps_time_s: float | None = None  # by which a receiver's time in EXIF differs from the camera's
 
 
@@ -52,7 +54,7 @@ def write_photographs(session: Path, out: Path, style: Style, seed: int = 0) -> 
         rows = list(csv.DictReader(stream))
     for number, row in enumerate(rows):
         place = LocalFrame(float(row["lat_deg"]), float(row["lon_deg"]), float(row["height_amsl_m"]))
-        lat, lon, height = place.to_geodetic(np.array(style.offset_m) + style.white_m * rng.standard_normal(3))
+        lat, lon, height = place.to_geodetic(_error_m(style, number, rng))
         R_enu_cam = matrix_from_quaternion([float(row[f"q_enu_cam_{c}"]) for c in "wxyz"])
         roll, pitch, yaw = np.degrees(euler_from_matrix(R_ENU_NED.T @ R_enu_cam @ R_GIMBAL_CAM.T)).tolist()
         exif, attributes = Image.Exif(), {}
@@ -90,6 +92,12 @@ def write_photographs(session: Path, out: Path, style: Style, seed: int = 0) -> 
         with Image.open(session / "frames" / row["file"]) as image:
             image.save(out / f"DJI_{number + 1:04d}.JPG", "JPEG", quality=92, exif=exif,
                        xmp=XMP.format(attributes=words).encode() if words else b"")  # fmt: skip
+
+
+def _error_m(style: Style, number: int, rng: np.random.Generator) -> Array:
+    step_m = np.array(style.step_m) if number in style.stepped else np.zeros(3)
+    out: Array = np.array(style.offset_m) + style.white_m * rng.standard_normal(3) + step_m
+    return out
 
 
 def _times(unix_s: float, style: Style) -> dict[int, object]:
