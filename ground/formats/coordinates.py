@@ -60,9 +60,14 @@ def mgrs_text(lat_deg: float, lon_deg: float) -> str:
     return str(found)
 
 
+def has_utm(lat_deg: float) -> bool:
+    """Return whether a latitude is not so near a pole that UTM has ended."""
+    return -80.0 <= lat_deg < 84.0
+
+
 def utm_text(lat_deg: float, lon_deg: float, decimals: int = 1) -> str:
     """Zone with its band, easting and northing in metres: 59G 412345.7 5197654.3. Raises InputError at the poles."""
-    if not -80.0 <= lat_deg < 84.0:
+    if not has_utm(lat_deg):
         raise InputError(f"UTM ends at 80 S and 84 N, this is at {lat_deg:.4f}: use mgrs, or --crs EPSG:32661 or 32761")
     square = mgrs_text(lat_deg, lon_deg)
     zone = square[:-12]  # 1 or 2 digits and the band, before two letters and ten digits

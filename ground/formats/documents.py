@@ -13,7 +13,7 @@ from pathlib import Path
 
 from contract.errors import InputError
 from ground.formats import cot, geojson, gpx, kml, table
-from ground.formats.coordinates import Grid, latlon_text, mgrs_text, utm_text
+from ground.formats.coordinates import Grid, has_utm, latlon_text, mgrs_text, utm_text
 from ground.formats.imported import Imported
 from ground.formats.mark import Mark
 from ground.formats.rounded import rounded_text
@@ -90,6 +90,13 @@ def _coordinate_line(of: Callable[[float, float], str]) -> Callable[[Mark, Grid 
     return line
 
 
+def _utm_or_degrees(lat_deg: float, lon_deg: float) -> str:
+    """UTM where it reaches: beyond it one pin's line must not cost all others theirs."""
+    if not has_utm(lat_deg):
+        return f"{latlon_text(lat_deg, lon_deg)} (degrees: no UTM beyond 80 S and 84 N)"
+    return utm_text(lat_deg, lon_deg)
+
+
 def _cot_line(mark: Mark, grid: Grid | None = None) -> str | None:
     return cot.event(mark, time.time_ns(), COT_STALE_S)
 
@@ -118,7 +125,7 @@ FORMATS: dict[str, Format] = {
         Format("csv", "text/csv", ".csv", table.write),
         _of_lines("cot", _cot_line, "application/xml", ".cot"),
         _of_lines("mgrs", _coordinate_line(mgrs_text)),
-        _of_lines("utm", _coordinate_line(utm_text)),
+        _of_lines("utm", _coordinate_line(_utm_or_degrees)),
         _of_lines("dms", _coordinate_line(lambda lat, lon: latlon_text(lat, lon, "seconds"))),
         _of_lines("dm", _coordinate_line(lambda lat, lon: latlon_text(lat, lon, "minutes"))),
     )

@@ -19,6 +19,15 @@ from onboard.geometry.terrain_grid import Terrain
 
 Array = NDArray[np.float64]
 
+LOWEST_M, HIGHEST_M = -500.0, 9000.0  # of land: the shore of the Dead Sea, Mount Everest
+VOIDS = (-9999.0, -32767.0, -32768.0, 32767.0, 65535.0)  # as stored where nothing was measured, declared or not
+LEAST_SHORE_M = 50.0  # above the sea, below which some land lies wherever it meets the sea
+METRES = {
+    **dict.fromkeys(("", "m", "metre", "metres", "meter", "meters"), 1.0),
+    **dict.fromkeys(("cm", "centimetre", "centimeter"), 0.01),
+    **dict.fromkeys(("ft", "foot", "feet", "international foot"), 0.3048),
+    **dict.fromkeys(("us survey foot", "us-ft", "ftus", "foot_us", "us_survey_foot"), 1200.0 / 3937.0),
+}
 MISS_HOLDS = 1.0 / 3.0
 """The share of the radius within which a place without any data stands for its neighbours. Another look at the files
 takes a tenth of a second and more, too much for every picture; two thirds of the radius stay known to be empty."""
@@ -55,6 +64,12 @@ class TerrainFiles:
                 raise InputError(f"terrain {name}: not a readable elevation model ({error})") from error
             if tile.crs is None:
                 raise InputError(f"terrain {name}: has no coordinate reference system")
+            if _unit(tile) not in METRES:
+                raise InputError(f"terrain {name}: heights in '{_unit(tile)}', not in metres or feet")
+            if not (math.isfinite(tile.scales[0] * tile.offsets[0]) and tile.scales[0]):
+                raise InputError(
+                    f"terrain {name}: heights with a scale of {tile.scales[0]:g} and an offset of {tile.offsets[0]:g}"
+                )
             self._tiles.append(tile)
 
     def around(
@@ -110,10 +125,7 @@ class TerrainFiles:
         c, r = np.clip(columns[inside], 0, tile.width - 1), np.clip(rows[inside], 0, tile.height - 1)
         c0, r0 = int(np.floor(c.min())), int(np.floor(r.min()))
         c1, r1 = min(int(np.ceil(c.max())) + 1, tile.width - 1), min(int(np.ceil(r.max())) + 1, tile.height - 1)
-        block = tile.read(1, window=((r0, r1 + 1), (c0, c1 + 1))).astype(float)
-        if tile.nodata is not None:
-            block[block == tile.nodata] = np.nan
-        block[block < -1000.0] = np.nan  # SRTM voids are -32768
+        block = _heights_m(tile, ((r0, r1 + 1), (c0, c1 + 1)))
         i, j = (r - r0).astype(int), (c - c0).astype(int)
         i1, j1 = np.minimum(i + 1, block.shape[0] - 1), np.minimum(j + 1, block.shape[1] - 1)
         a, b = c - c0 - j, r - r0 - i
@@ -121,3 +133,23 @@ class TerrainFiles:
             (1 - a) * block[i1, j] + a * block[i1, j1]
         )
         return out
+
+
+def _heights_m(tile: Any, window: tuple[tuple[int, int], tuple[int, int]]) -> Array:
+    """The heights (rows, columns), m, of a part of a tile; nan where it has none, declared or not."""
+    stored = tile.read(1, window=window, masked=True)
+    values = np.asarray(stored.data, float)
+    void = np.ma.getmaskarray(stored) | np.isin(values, VOIDS) | ~np.isfinite(values)
+    heights_m: Array = (values * tile.scales[0] + tile.offsets[0]) * METRES[_unit(tile)]
+    void |= (heights_m < LOWEST_M) | (heights_m > HIGHEST_M)
+    # A model of the sea has a shore; zeros among nothing but heights are where nothing was measured.
+    land = ~void & (values != 0.0)
+    if tile.nodata is None and land.any() and np.abs(heights_m[land]).min() > LEAST_SHORE_M:
+        void |= values == 0.0
+    heights_m[void] = np.nan
+    return heights_m
+
+
+def _unit(tile: Any) -> str:
+    """The unit of a tile's heights, as it is written there; empty where none is."""
+    return str((tile.units or ("",))[0] or "").strip().lower()

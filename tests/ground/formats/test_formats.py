@@ -200,6 +200,16 @@ def test_at_the_poles_there_are_squares_but_no_utm() -> None:
         utm_text(85.0, 10.0)
 
 
+def test_a_pin_beyond_utm_costs_no_other_its_line() -> None:
+    """One at 85 N, and no list was written at all."""
+    three = [
+        Mark("m", f"pin {k}", "ok", lat_deg=lat, lon_deg=10.0, number=k) for k, lat in enumerate((47.0, 85.0, -47.0))
+    ]
+    first, polar, last = FORMATS["utm"].write(three, None).splitlines()
+    assert first.startswith("32T ")
+    assert polar.startswith("85.0000000 10.0000000 (degrees: no UTM beyond 80 S and 84 N)") and last.startswith("32G ")
+
+
 def test_degrees_minutes_seconds() -> None:
     assert latlon_text(-43.38, 172.4, "minutes") == "43°22.80000'S 172°24.00000'E"
     assert latlon_text(-43.38, 172.4, "seconds") == "43°22'48.000\"S 172°24'00.000\"E"
