@@ -90,6 +90,7 @@ class MessageToEvent:
     def __init__(self, sources: Sources) -> None:
         self.sources = sources
         self._latest_boot_ns: int | None = None
+        self._newest_boot_ns: dict[str, int] = {}  # of position and attitude
         self._gps_stamp_us = 0
         self._gps_moved_ns = 0
 
@@ -107,14 +108,19 @@ class MessageToEvent:
             if name != "GPS_RAW_INT":
                 return [_filter_status(message, now_ns)]
             fix = _receiver_position(message, now_ns, to_host_ns)
+            # One that is sent again as it was is no other position; a stamp of 0 is none.
+            is_repeated = 0 < int(message.time_usec) == self._gps_stamp_us
             quality = self._quality(message, now_ns, fix)
-            return [quality] if fix is None or self.sources.position != name else [quality, fix]
+            return [quality] if fix is None or is_repeated or self.sources.position != name else [quality, fix]
         if boot_ns is None:
             return []
-        if name == "GLOBAL_POSITION_INT" and self.sources.position == name:
-            event = _filter_position(message, to_host_ns(boot_ns))
-        elif name == self.sources.attitude:
-            event = _attitude(message, to_host_ns(boot_ns))
+        if name in (self.sources.position, self.sources.attitude):
+            # By two ways, or forwarded more often than it is made, it is still one measurement.
+            if self._newest_boot_ns.get(name) == boot_ns:
+                return []
+            self._newest_boot_ns[name] = boot_ns
+            make = _filter_position if name == self.sources.position else _attitude
+            event = make(message, to_host_ns(boot_ns))
         elif name in GIMBAL_EVENTS:
             event = GIMBAL_EVENTS[name](message, to_host_ns(boot_ns))
         elif name in ZOOM_EVENTS:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import operator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,7 +14,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from contract.rotations import matrix_from_quaternion
-from onboard.events.types import FilterStatus, NavEvent
+from onboard.events.types import FilterStatus, GpsQuality, NavEvent, PositionFix
 from onboard.telemetry.mavlink_events import MessageToEvent, Sources, sensor_direction
 
 BOOT_MS = 5000
@@ -60,6 +62,49 @@ def test_px4_standing_on_the_ground_with_gnss_fused_has_a_position() -> None:
     assert events(clock(), estimator(1023)) == [FilterStatus(STAMP, True, False, is_at_rest=True)]
     without_velocity = 1023 & ~mavlink.ESTIMATOR_VELOCITY_HORIZ
     assert events(clock(), estimator(without_velocity)) == [FilterStatus(STAMP, False, False)]
+
+
+def gps_raw(stamp_us: int) -> Any:
+    return mavlink.MAVLink_gps_raw_int_message(stamp_us, 3, -430000000, 1720000000, 100000, 100, 100, 500, 0, 12)
+
+
+def global_position(boot_ms: int) -> Any:
+    return mavlink.MAVLink_global_position_int_message(boot_ms, -430000000, 1720000000, 100000, 50000, 0, 0, 0, 0)
+
+
+def attitude(boot_ms: int) -> Any:
+    return mavlink.MAVLink_attitude_message(boot_ms, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("first_us", [1_700_000_000_000_000, 3_000_000])
+def test_a_receiver_s_fix_that_is_sent_again_is_no_other_position(first_us: int) -> None:
+    """One of 1 Hz that was forwarded at 5 Hz counted as five, each with an error of its own."""
+    converter = MessageToEvent(Sources(position="GPS_RAW_INT"))
+    found: list[NavEvent] = []
+    for k in range(20):
+        now_ns = k * 200_000_000
+        # Our clock is still learned: what a stamp is on it changes by a little.
+        to_host_ns = partial(operator.add, now_ns // 1000)
+        found += converter.convert(gps_raw(first_us + 1_000_000 * (k // 5)), now_ns, to_host_ns)
+    assert len([e for e in found if isinstance(e, PositionFix)]) == 4
+    reports = [e for e in found if isinstance(e, GpsQuality)]
+    assert len(reports) == 20 and all(report.has_fix for report in reports)
+
+
+def test_a_receiver_without_a_stamp_is_taken_as_it_comes() -> None:
+    converter = MessageToEvent(Sources(position="GPS_RAW_INT"))
+    found = [e for k in range(5) for e in converter.convert(gps_raw(0), k * 200_000_000, lambda boot_ns: boot_ns)]
+    assert len([e for e in found if isinstance(e, PositionFix)]) == 5
+
+
+def test_a_position_or_attitude_that_comes_by_two_ways_is_one() -> None:
+    """Its boot stamp is the same, and our clock's map of it is not quite."""
+    converter = MessageToEvent(Sources())
+    found: list[NavEvent] = []
+    for k in range(10):
+        for message in (global_position(BOOT_MS + 100 * (k // 2)), attitude(BOOT_MS + 100 * (k // 2))):
+            found += converter.convert(message, 0, partial(operator.add, 1000 * k))
+    assert [type(e).__name__ for e in found] == ["PositionFix", "Attitude"] * 5
 
 
 def gimbal(flags: int, q: tuple[float, float, float, float] = (2**-0.5, 0.0, -(2**-0.5), 0.0), failure: int = 0) -> Any:
