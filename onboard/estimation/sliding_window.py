@@ -32,7 +32,7 @@ from onboard.estimation.sensor_factors import level_sigma, with_delays_held_open
 from onboard.estimation.sensor_orientation import by_attitude
 from onboard.estimation.shared_errors import SensorPose, make_sensor_pose
 from onboard.estimation.solved_window import Solved
-from onboard.estimation.window_acceptance import MIN_POINTS, Memory
+from onboard.estimation.window_acceptance import MIN_POINTS, Memory, off_take_off
 from onboard.estimation.window_problem import Outcome
 from onboard.estimation.window_request import Noise, Request
 from onboard.estimation.window_solver import adjust
@@ -67,7 +67,8 @@ class Window:
         self.refusal = ""  # why the newest window has no solution, in words; empty if it has one
         self.noise = Noise(config.solve.pixel_sigma_px, config.camera.sigma_jitter_s)
         self.terrain: Terrain | None = None  # of the area below, if known
-        self.terrain_doubt = ""  # how far that is off the ground, as windows without it show; empty: it is not
+        self.terrain_doubt = ""  # how far that is off the ground, as windows or the take-off show; empty: it is not
+        self._has_terrain_agreed = False  # with the ground that a window showed
         self.alignment = Alignment(
             np.radians(mount.sigma_deg),
             config.camera.sigma_latency_s,
@@ -113,6 +114,12 @@ class Window:
     def change_terrain(self, terrain: Terrain | None) -> None:
         """Take the terrain of the area below, as far as it is known."""
         self.terrain = terrain
+
+    def see_take_off(self, nav: NavState) -> None:
+        """Take a state: one that stands shows where the ground is, as long as no window has. (16.17)"""
+        if self.terrain is not None and self.solved is None and not self._has_terrain_agreed:
+            found = off_take_off(self.config, self.terrain, nav)
+            self.terrain_doubt = self.terrain_doubt if found is None else found
 
     def forget_ground(self) -> None:
         """Forget terrain and slope: the frame that they are in has been left."""
@@ -273,6 +280,8 @@ class Window:
             self.ground_slope.prior_for(start_ns, self._place_enu_m()) if has_slope else None,
             self.memory,
             is_mount_open,
+            self._has_terrain_agreed,
+            bool(self.terrain_doubt) and not self._has_terrain_agreed,
         )
         return self._request
 
@@ -293,6 +302,8 @@ class Window:
         self.refusal = outcome.reason
         if outcome.solved is not None or outcome.terrain_doubt:
             self.terrain_doubt = outcome.terrain_doubt
+        if outcome.solved is not None and self._request.terrain is not None:
+            self._has_terrain_agreed |= not outcome.terrain_doubt
         if outcome.status in MOVED:
             self.solved = None  # what it places is placed through optics that it knows nothing of
         if outcome.lens_moved:
@@ -330,7 +341,7 @@ class Window:
     def _see_slope(self, solved: Solved) -> None:
         """Keep what the window that `prepare` asked for alone shows of the ground's slope."""
         request, layout = self._request, solved.layout
-        if request.slope is None or request.terrain is not None:
+        if request.slope is None or not (request.terrain is None or request.is_terrain_left_out):
             return  # over a terrain model the plane is what that is off by
         start_ns, end_ns = self.keyframes[0].nav.stamp_ns, self.keyframes[-1].nav.stamp_ns
         state, covariance = solved.solution.state, solved.covariance_at((start_ns + end_ns) // 2)

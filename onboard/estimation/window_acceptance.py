@@ -22,6 +22,8 @@ from onboard.estimation.sensor_factors import between_covariance, velocity_sigma
 from onboard.estimation.solved_window import Solved
 from onboard.geometry.robust import IMPOSSIBLE_SIGMAS
 from onboard.geometry.terrain_grid import Terrain
+from onboard.navigation.limits import SURE_SIGMAS
+from onboard.navigation.navigator import NavState
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -139,6 +141,26 @@ def off_terrain(config: Config, terrain: Terrain | None, s: Solution, good: Mask
     if abs(above_m) > IMPOSSIBLE_SIGMAS * sigma_m:
         return f"ground off the terrain model: {above_m:+.0f} m, sigma {sigma_m:.0f}"
     return None
+
+
+def off_take_off(config: Config, terrain: Terrain, nav: NavState) -> str | None:
+    """Return by how much the ground that an aircraft stands on is off a terrain model: empty if not; None where it
+    flies, or nothing is known. (16.17)
+    """
+    gps, velocity, above_m = config.gps, nav.velocity_enu_m_s, nav.height_above_home_m
+    known_m = float(terrain.height_and_slope(nav.position_enu_m[None, :2])[0][0])
+    if above_m is None or velocity is None or not np.isfinite(known_m):
+        return None
+    if np.linalg.norm(np.nan_to_num(velocity)) > SURE_SIGMAS * gps.sigma_velocity_m_s:
+        return None
+    if abs(above_m) > SURE_SIGMAS * gps.sigma_correlated_vertical_m:
+        return None
+    below_m = float(nav.position_enu_m[2]) - above_m - known_m
+    sigmas_m = (nav.sigma_vertical_m, nav.sigma_datum_m, config.terrain.sigma_datum_m, config.terrain.sigma_m)
+    sigma_m = float(np.linalg.norm(sigmas_m))
+    if abs(below_m) <= IMPOSSIBLE_SIGMAS * sigma_m:
+        return ""
+    return f"ground off the terrain model: {below_m:+.0f} m at the take-off, sigma {sigma_m:.0f}"
 
 
 def _by_distance(config: Config, keyframes: Sequence[Keyframe], s: Solution, layout: Layout) -> str | None:

@@ -54,4 +54,6 @@ class Request:
     slope: SlopePrior | None = None  # of the ground where the window is; None: as configured
     memory: Memory = field(default_factory=Memory)
     is_mount_open: bool = False  # it is not known yet whether mount or gimbal carries the camera
+    has_terrain_agreed: bool = False  # with the ground that an earlier window showed
+    is_terrain_left_out: bool = False  # it contradicts that ground, and only shows whether it still does
     is_oriented: bool = False  # the keyframes' orientations are a start, whatever they came from

@@ -25,16 +25,26 @@ def adjust(request: Request) -> Outcome:
     a first solve that stopped short of its minimum are none of them.
 
     Where a window has no result over its terrain model, it is solved without too: ground that all else shows elsewhere
-    leaves that model in doubt. Which of the two is wrong, nothing shows: ground may move as a whole. (16.16)
+    leaves that model in doubt. One that no window has agreed with is left out then; of one that some have, nothing
+    shows which of the two is wrong: the lens may have zoomed, or the ground move as a whole. (16.16)
     """
-    over = _from_all_starts(request)
-    if request.terrain is None or over.status not in (Status.POOR_FIT, *MOVED):
+    if request.terrain is None or request.is_terrain_left_out:
+        over = None
+    else:
+        over = _from_all_starts(request)
+        if over.status not in (Status.POOR_FIT, *MOVED):
+            return over
+    alone = _from_all_starts(replace(request, terrain=None))
+    doubt = None
+    if request.terrain is not None and alone.solved is not None:
+        doubt = off_terrain(request.config, request.terrain, alone.solved.solution, alone.solved.good)
+    if over is None:
+        return replace(alone, terrain_doubt=doubt or "")
+    if doubt is None:
         return over
-    alone = _from_all_starts(replace(request, terrain=None)).solved
-    if alone is None:
-        return over
-    doubt = off_terrain(request.config, request.terrain, alone.solution, alone.good)
-    return over if doubt is None else replace(over, status=Status.POOR_FIT, reason=doubt, terrain_doubt=doubt)
+    if request.has_terrain_agreed:
+        return replace(over, status=Status.POOR_FIT, reason=doubt, terrain_doubt=doubt)
+    return replace(alone, terrain_doubt=doubt)
 
 
 def _from_all_starts(request: Request) -> Outcome:

@@ -32,9 +32,10 @@ def contradictions_of(failing: Failing, now_ns: int) -> tuple[Contradiction, ...
     return tuple(out)
 
 
-def in_words(contradictions: Iterable[Contradiction]) -> str:
-    """The present contradictions in one line; empty if there are none."""
-    return "; ".join(str(c) for c in contradictions if c.is_now)
+def in_words(contradictions: Iterable[Contradiction], terrain_doubt: str = "") -> str:
+    """The present contradictions, also of a terrain model that is off, in one line; empty if there are none."""
+    terrain = [f"terrain model left out ({terrain_doubt})"] if terrain_doubt else []
+    return "; ".join([*(str(c) for c in contradictions if c.is_now), *terrain])
 
 
 def estimates_of(platform: PlatformEstimate | None) -> tuple[Estimate, ...]:

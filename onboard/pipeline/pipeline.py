@@ -155,6 +155,7 @@ class Pipeline:
             sensor_errors=sensor_errors,
             unconfirmed=unconfirmed,
             contradictions=contradictions,
+            terrain_doubt=self.window.terrain_doubt,
             mounted_on=self.mount_selection.mounted_on(self.navigation),
             left_out=LeftOut(*self.tracker.left_out_shares),
         )
@@ -194,6 +195,7 @@ class Pipeline:
         if self.terrain is not None:
             with self._statistics.timed("terrain"):
                 self.window.change_terrain(terrain_about(self.terrain, self._frame, nav, self.window.terrain))
+                self.window.see_take_off(nav)
         with self._statistics.timed("tracking"):
             tracks = self._track(frame.image, nav)
         if isinstance(tracks, Status):

@@ -99,6 +99,7 @@ class Summary:
     sensor_errors: tuple[SensorError, ...] = ()  # how large they are, as estimated and as configured
     unconfirmed: tuple[Estimate, ...] = ()  # found, but too far from the prior to be adopted by itself
     contradictions: tuple[Contradiction, ...] = ()  # sensors that contradict the others, or did
+    terrain_doubt: str = ""  # how far the terrain model, which answers nothing then, is off; empty: it is not
     mounted_on: str = ""  # what the camera was assumed to be mounted on
     left_out: LeftOut = field(default_factory=LeftOut)
     stage_seconds: dict[str, float] = field(default_factory=dict)

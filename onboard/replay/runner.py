@@ -257,6 +257,8 @@ def summary_text(summary: Summary) -> str:
     if summary.mounted_on:
         rows.append(("camera carried by", summary.mounted_on))
     rows += as_rows(summary.estimates, summary.sensor_errors, summary.unconfirmed, summary.contradictions)
+    if summary.terrain_doubt:
+        rows.append(("terrain model", f"left out: {summary.terrain_doubt}"))
     frames = max(summary.frames, 1)
     rows += [
         (f"time, {stage}", f"{seconds:.2f} s ({1000.0 * seconds / frames:.1f} ms a frame)")

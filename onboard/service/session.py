@@ -203,7 +203,7 @@ class Session:
             position_fault=self.parts.pipeline.navigation.reason,
             is_at_rest=self._standstill.is_at_rest,
             threads=self.threads(),
-            contradiction=in_words(self._summary.contradictions),
+            contradiction=in_words(self._summary.contradictions, self._summary.terrain_doubt),
             thermal_camera=None if self.parts.thermal_camera is None else self.parts.thermal_camera.health(),
         )
 
