@@ -41,6 +41,7 @@ EXPLANATIONS: dict[Status, str] = {
     Status.REPETITIVE: "the ground repeats itself (rows, tiles): what was matched may be a whole row off",
     Status.STABILISED: "the camera's electronic stabilisation shifts the picture: switch it off",
     Status.ZOOMED: "the lens has zoomed or refocused since it was calibrated: set it back",
+    Status.MIRRORED: "the picture is a mirror image: switch off the camera's flip (or mirror)",
 }
 
 

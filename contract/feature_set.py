@@ -49,6 +49,7 @@ class Status(Enum):
     STABILISED = "stabilised"
     ZOOMED = "zoomed"
     REPETITIVE = "repetitive"
+    MIRRORED = "mirrored"
 
     @property
     def code(self) -> int:

@@ -24,4 +24,5 @@ ADVICE: dict[Status, str] = {
     Status.REPETITIVE: "step to a picture with the field's border, a path or trees in it",
     Status.STABILISED: "step to an earlier picture; the camera's stabilisation must be switched off",
     Status.ZOOMED: "step to a picture taken before the zoom, or have the lens set back",
+    Status.MIRRORED: "have the camera's flip (or mirror) switched off: all its pictures are mirror images",
 }

@@ -23,7 +23,7 @@ from onboard.estimation.bundle_adjustment import Solution
 from onboard.estimation.camera_states import COUNT, FOCAL_LENGTH, K1
 from onboard.estimation.factors import OWN_STATES, RATES, SHIFT, WAVES, ZOOM, AttitudePrior, PathPrior, State
 from onboard.estimation.information import with_own_variance
-from onboard.estimation.keyframe import have_attitude, turned
+from onboard.estimation.keyframe import have_attitude, observation, turned
 from onboard.estimation.platform_states import STATES
 from onboard.estimation.sensor_orientation import by_sensors
 from onboard.estimation.sensor_table import HEADING, TILT
@@ -37,6 +37,7 @@ from onboard.navigation.limits import RARE, SURE_SIGMAS
 Array = NDArray[np.float64]
 
 MIRRORED, SENSORS, HEADINGS, ATTITUDE = "mirrored motion", "the sensors' own start", "headings all round", "attitude"
+FLIPPED = "pictures flipped"
 SET_ASIDE = 1e6  # on the variance of a sensor that is to count for nothing
 OPEN_LENS = {FOCAL_LENGTH: 0.3, K1: 0.1}  # one sigma of what all pictures share, under every explanation by the optics
 
@@ -99,6 +100,25 @@ def sensors_own(request: Request, found: Outcome) -> Explanation | None:
         return None
     R = by_sensors(request.keyframes, request.platform, request.R_body_cam)
     return None if R is None else begun_at(SENSORS, request, R)
+
+
+def flipped(weighed: Weighed, axis: int) -> Explanation | None:
+    """Return the window with its pictures flipped along an image axis, begun from the sensors; None if impossible."""
+    window, request = weighed.window, weighed.window.request
+    R = by_sensors(request.keyframes, request.platform, request.R_body_cam)
+    if R is None:
+        return None
+    keyframes = []
+    for k in turned(request.keyframes, R):
+        seen, uv_px = k.observation, k.observation.uv_px.copy()
+        uv_px[:, axis] = seen.camera.size_px[axis] - 1.0 - uv_px[:, axis]
+        keyframes.append(replace(k, observation=observation(seen.camera, seen.ids, uv_px, seen.moving)))
+    tried = from_request(replace(request, keyframes=tuple(keyframes), previous=None, is_oriented=True))
+    if isinstance(tried, Outcome):
+        return None
+    if np.array_equal(tried.ids, window.ids):
+        tried = tried.with_problem(weight=np.where(window.unweighed.weight > 0.0, tried.unweighed.weight, 0.0))
+    return Explanation(FLIPPED, tried, weighed.noise, tried.state)
 
 
 def _is_far_from_sensors(found: Outcome, has_attitude: bool) -> bool:

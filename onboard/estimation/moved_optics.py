@@ -31,7 +31,7 @@ from onboard.estimation.sensor_groups import contradictions, innovations
 from onboard.estimation.sensor_table import HEADING, TILT
 from onboard.estimation.window_problem import Outcome, Weighed
 
-MOVED = (Status.STABILISED, Status.ZOOMED)
+MOVED = (Status.STABILISED, Status.ZOOMED, Status.MIRRORED)
 MAX_VARIANCE = 3.0  # of pixels, above which an explanation leaves too much to explain anything
 
 
@@ -42,7 +42,7 @@ def found(weighed: Weighed) -> Outcome | None:
     """
     window, has_attitude = weighed.window, have_attitude(weighed.window.keyframes)
     each, common = zoom_scores(weighed)
-    is_turned = has_attitude and _is_attitude_contradicted(weighed)
+    is_turned = has_attitude and is_attitude_contradicted(weighed)
     is_file_doubted = common.is_clear() and not window.layout.camera_states  # of a file that admits no error
     # Pictures that are turned wrong look zoomed, and a start without attitude may be anywhere.
     is_oriented = has_attitude or window.request.previous is not None
@@ -57,20 +57,21 @@ def found(weighed: Weighed) -> Outcome | None:
     if cause == ZOOM and is_sure and is_oriented:
         moved = float(np.ptp(likeliest.solution.state.own[:, -1]))
         reason = f"the lens zoomed or refocused: by {np.expm1(moved):.1%} within the window"
-        return replace(_refused(weighed, Status.ZOOMED, reason), lens_moved=moved)
+        return replace(refused(weighed, Status.ZOOMED, reason), lens_moved=moved)
     # A frame that is shifted to hide a rotation contradicts the attitude; one that does not has hidden nothing.
     if cause == SHIFT and is_sure and is_turned:
         reason = "the frame is shifted from picture to picture (stabilisation)"
-        return _refused(weighed, Status.STABILISED, reason)
+        return refused(weighed, Status.STABILISED, reason)
     return _by_file(weighed, optics, likeliest) if is_file_doubted else None
 
 
-def _refused(weighed: Weighed, status: Status, reason: str) -> Outcome:
+def refused(weighed: Weighed, status: Status, reason: str) -> Outcome:
+    """The refusal of a window by its first solve."""
     window = weighed.window
     return Outcome(status, window.keyframes, window.request.noise, weighed=weighed, reason=reason)
 
 
-def _is_attitude_contradicted(weighed: Weighed) -> bool:
+def is_attitude_contradicted(weighed: Weighed) -> bool:
     """Return whether tilt or heading contradicts the pictures and the other sensors. (13.4)"""
     s, groups = weighed.solution, weighed.noise.factors.groups
     against = contradictions(innovations(weighed.problem.priors, s.state, s.covariance, groups))
@@ -107,7 +108,7 @@ def _by_file(weighed: Weighed, optics: OpenOptics, likeliest: Excess) -> Outcome
         return None
     off = np.expm1(float(optics.lens.state.camera[FOCAL_LENGTH]))
     reason = f"the focal length is {off:+.1%} off the camera file, which states it without error"
-    return _refused(weighed, Status.POOR_FIT, reason)
+    return refused(weighed, Status.POOR_FIT, reason)
 
 
 def zoom_scores(weighed: Weighed) -> tuple[Excess, Excess]:

@@ -66,6 +66,7 @@ class Window:
         self.memory = Memory()
         self.refusal = ""  # why the newest window has no solution, in words; empty if it has one
         self.noise = Noise(config.solve.pixel_sigma_px, config.camera.sigma_jitter_s)
+        self.is_mirrored: bool | None = None  # windows have shown the pictures to be mirror images, or not to be
         self.terrain: Terrain | None = None  # of the area below, if known
         self.terrain_doubt = ""  # how far that is off the ground, as windows or the take-off show; empty: it is not
         self._has_terrain_agreed = False  # with the ground that a window showed
@@ -102,6 +103,7 @@ class Window:
         self.keyframes.clear()
         self.solved = None
         self.memory = self.memory.without_windows()
+        self.is_mirrored = self.is_mirrored or None  # a camera that has begun again may flip its pictures
 
     def change_lens(self, camera: Camera, sigma: float) -> None:
         """Begin again behind a lens that has been zoomed to `camera`, known to one `sigma` of its focal length."""
@@ -282,6 +284,7 @@ class Window:
             is_mount_open,
             self._has_terrain_agreed,
             bool(self.terrain_doubt) and not self._has_terrain_agreed,
+            is_mirrored=self.is_mirrored,
         )
         return self._request
 
@@ -300,6 +303,7 @@ class Window:
             return self._begin_at(clock)
         self.noise = outcome.noise
         self.refusal = outcome.reason
+        self.is_mirrored = self.is_mirrored if outcome.is_mirrored is None else outcome.is_mirrored
         if outcome.solved is not None or outcome.terrain_doubt:
             self.terrain_doubt = outcome.terrain_doubt
         if outcome.solved is not None and self._request.terrain is not None:

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from contract.feature_set import Status
-from onboard.estimation import ground_roughness, moved_optics
+from onboard.estimation import ground_roughness, mirror_image, moved_optics
 from onboard.estimation.refined_window import MIN_PIXEL_SIGMA_PX, Refined, depth_sigma_m, judged
 from onboard.estimation.second_solve import solve_again
 from onboard.estimation.variance_components import evidence_of
@@ -38,6 +38,15 @@ def from_one_start(request: Request) -> Outcome:
 def adjusted(window: WindowProblem) -> Outcome:
     """Take a window through every stage, from the state that it begins with."""
     weighed = begin(window)
+    is_mirrored = mirror_image.shown(weighed)
+    if is_mirrored or (is_mirrored is None and window.request.is_mirrored):
+        reason = "the pictures are mirror images of the ground"
+        return replace(moved_optics.refused(weighed, Status.MIRRORED, reason), is_mirrored=is_mirrored)
+    return replace(_as_seen(weighed), is_mirrored=is_mirrored)
+
+
+def _as_seen(weighed: Weighed) -> Outcome:
+    """Take a window whose pictures are what the camera sees through the stages after its first solve."""
     changed = explain(weighed)
     if changed is not None:
         return changed

@@ -139,6 +139,7 @@ class Outcome:
     terrain_doubt: str = ""  # how far the terrain model is off the ground that the window shows without it
     is_minimum: bool = True  # the adjustment reached one
     lens_moved: float = 0.0  # by about so much of the focal length's logarithm within the window
+    is_mirrored: bool | None = None  # it shows its pictures to be mirror images, or not to be; None: neither
 
 
 def _as_declared(config: Config) -> float:

@@ -57,3 +57,4 @@ class Request:
     has_terrain_agreed: bool = False  # with the ground that an earlier window showed
     is_terrain_left_out: bool = False  # it contradicts that ground, and only shows whether it still does
     is_oriented: bool = False  # the keyframes' orientations are a start, whatever they came from
+    is_mirrored: bool | None = None  # earlier windows have shown the pictures to be mirror images, or not to be

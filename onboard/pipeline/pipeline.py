@@ -370,6 +370,9 @@ class Pipeline:
             self._place(record)
             self._book.queue(solved.frames, self.config.solve.keyframes // 2)
             return
+        if status is Status.MIRRORED:  # and so are the pictures that were answered before it was seen
+            for each in self._book.take(before=record.frame.index):
+                self._refuse(each.frame, status, each)
         if self._failures >= MAX_FAILURES:
             # The window's keyframes do not fit together: begin again with this one alone.
             self._settle(self._book.take(before=record.frame.index))

@@ -52,6 +52,7 @@ REMEDIES: dict[Status | Break, str] = {
     Status.LOW_PARALLAX: "fly on, or state where the ground is: terrain.path, solve.home_level or a range finder",
     Status.STABILISED: "switch the camera's image stabilisation (EIS) off",
     Status.ZOOMED: "fix zoom and focus where they were calibrated",
+    Status.MIRRORED: "switch the camera's flip (mirror) off, or flip the pictures back",
     Status.POOR_FIT: "check mount.*_deg, camera.json, and that pictures and log are of one flight and one clock",
 }
 
@@ -166,7 +167,7 @@ class RunStatistics:
             return Shortfall(
                 "no attitude in the telemetry", "ask the autopilot for ATTITUDE, or set solve.level_ground = true"
             )
-        if worst in (Status.STABILISED, Status.ZOOMED, Status.POOR_FIT):
+        if worst in (Status.STABILISED, Status.ZOOMED, Status.MIRRORED, Status.POOR_FIT):
             return self._shortfall_of(worst)
         return Shortfall(
             f"too short: {self.keyframes} keyframes within {self._span_m:.0f} m travelled",
@@ -212,6 +213,7 @@ class RunStatistics:
             Status.LOW_PARALLAX: f"no parallax: {self._span_m:.0f} m travelled at {self._height_m:.0f} m above home",
             Status.STABILISED: f"electronic stabilisation shifted {count} pictures",
             Status.ZOOMED: f"the lens had zoomed or refocused on {count} pictures",
+            Status.MIRRORED: f"{count} pictures are mirror images of the ground",
             Status.POOR_FIT: f"pictures and telemetry contradict each other on {count} pictures",
         }
         return Shortfall(reasons[why], REMEDIES[why])
