@@ -128,7 +128,7 @@ export class PinList {
     row.dataset["number"] = String(pin.number);
     const [shape, title, where, sure] = [...row.children] as HTMLElement[];
     shape!.replaceChildren(shapeSvg(kindOf(pin.category), 30, String(pin.number)));
-    title!.textContent = pin.name === "" ? kindOf(pin.category).title : pin.name;
+    title!.textContent = `${pin.name === "" ? kindOf(pin.category).title : pin.name}${formerly(pin)}`;
     where!.textContent = placeText(pin);
     sure!.textContent = sureText(pin);
     sure!.classList.toggle("bad", pin.place.status !== "ok");
@@ -196,7 +196,7 @@ export class PinList {
     const copy = button("Copy", "the coordinate, as it is written here", () => void copied(written(), copy), "copy");
     const close = button("×", "close this card", () => this.state.select(null));
     close.setAttribute("aria-label", "close this card");
-    const head = make("div", { class: "card-head" }, make("strong", {}, `Pin ${pin.number}`), name, category, close);
+    const head = make("div", { class: "card-head" }, make("strong", {}, `Pin ${pin.number}${formerly(pin)}`), name, category, close);
     const last = pin.clicks.at(-1);
     const again = button("Click again", "click the same thing in another picture: the pin becomes surer", () => this.state.setMode({ kind: "again", pin: pin.id }));
     const remove = button("Delete", "delete; Undo brings it back", () => this.actions.remove(pin));
@@ -260,6 +260,9 @@ export class PinList {
     choice.focus({ preventScroll: true });
   }
 }
+
+/** Other numbers that a pin had, by which somebody may have named it on the radio; empty for most. */
+function formerly(pin: Pin): string { return pin.was.length === 0 ? "" : ` (was ${pin.was.join(", ")})`; }
 
 function measureText(reply: Record<string, number | string | null>): string {
   const number = (key: string): number | null => (typeof reply[key] === "number" ? reply[key] : null);

@@ -44,7 +44,7 @@ export interface PinClick extends How {
 }
 
 export interface Pin {
-  id: string; number: number; name: string; note: string; category: Category; who: string;
+  id: string; number: number; was: number[]; name: string; note: string; category: Category; who: string;
   created_utc: string; seen_utc: string | null; modified_utc: string; modified_by: string; clicks: PinClick[]; place: Place;
 }
 

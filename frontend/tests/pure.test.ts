@@ -210,7 +210,7 @@ test("an answer's words are how it was found, how high above the ground, and why
 
 function pin(id: string, name: string): Pin {
   return {
-    id, number: 1, name, note: "", category: "poi", who: "", created_utc: "", seen_utc: null, modified_utc: "", modified_by: "", clicks: [],
+    id, number: 1, was: [], name, note: "", category: "poi", who: "", created_utc: "", seen_utc: null, modified_utc: "", modified_by: "", clicks: [],
     place: { status: "unplaced", reason: "" },
   };
 }

@@ -44,8 +44,8 @@ def text_line(mark: Mark, grid: Grid | None = None) -> str:
     if grid is not None and mark.is_placed:
         where = _in(grid, mark)
     name = one_line(mark.name)
-    number = "-" if mark.number is None else mark.number
-    return f"{number}  {mark.category}  {name or '(no name)'}  {where}  {mark.accuracy_text}  {mark.time_text}".rstrip()
+    words = (mark.number_text or "-", mark.category, name or "(no name)", where, mark.accuracy_text, mark.time_text)
+    return "  ".join(words).rstrip()
 
 
 def json_line(mark: Mark, grid: Grid | None = None) -> str:

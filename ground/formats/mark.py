@@ -71,8 +71,14 @@ class Mark:
     @property
     def title(self) -> str:
         """Number and name, for people."""
-        number = "" if self.number is None else f"{self.number}"
-        return f"{number} {self.name}".strip() or self.id
+        return f"{self.number_text} {self.name}".strip() or self.id
+
+    @property
+    def number_text(self) -> str:
+        """The number, for people, with others that it had; empty if there is none."""
+        was = () if self.pin is None else self.pin.was
+        former = f" (was {', '.join(map(str, was))})" if was else ""
+        return "" if self.number is None else f"{self.number}{former}"
 
     @property
     def time_text(self) -> str:

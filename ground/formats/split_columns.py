@@ -1,4 +1,4 @@
-"""Columns beside latitude and longitude that decide where a row is: minutes, seconds, hemisphere, coordinate system."""
+"""Columns next to latitude and longitude that decide where a row is: minutes, seconds, hemisphere, system."""
 
 from __future__ import annotations
 

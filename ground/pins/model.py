@@ -10,7 +10,7 @@ import base64
 import time
 import uuid
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Any
 
@@ -34,6 +34,7 @@ ARRAYS = {
     "offset_enu_m": (3,), "pointing_cov_m2": (3, 3),
 }  # fmt: skip
 MAX_NAME, MAX_NOTE, MAX_WHO = 200, 10_000, 100
+MOST_FORMER = 20  # numbers of a pin that are remembered
 
 
 class Category(Enum):
@@ -261,7 +262,10 @@ UNKNOWN_HEIGHT_SIGMA_M = 1e4  # of an entered position whose height's accuracy i
 
 @dataclass(frozen=True, eq=False)
 class Pin:
-    """A thing that was found. Its number is valid in one store, its id in all."""
+    """A thing that was found. Servers that share it agree on its number, once each has received it.
+
+    `was`: other numbers that it had, by which somebody may have named it on the radio.
+    """
 
     id: str
     number: int
@@ -274,6 +278,12 @@ class Pin:
     modified_by: str
     clicks: tuple[PinClick, ...] = ()
     is_deleted: bool = False
+    was: tuple[int, ...] = ()
+
+    def renumbered(self, number: int, *was: int) -> Pin:
+        """The pin with another number; the one it had, and `was`, are kept."""
+        before = dict.fromkeys((*self.was, self.number, *was))
+        return replace(self, number=number, was=tuple(n for n in before if n and n != number)[:MOST_FORMER])
 
     @property
     def seen_unix_ns(self) -> int | None:
@@ -293,6 +303,7 @@ class Pin:
             "modified_by": self.modified_by,
             "clicks": [click.to_dict() for click in self.clicks],
             "is_deleted": self.is_deleted,
+            "was": list(self.was),
         }
 
     @classmethod
@@ -306,6 +317,7 @@ class Pin:
             r.identity("id"), r.whole("number"), r.text("name", MAX_NAME), r.text("note", MAX_NOTE),
             category_of(r.text("category", 40)), r.text("who", MAX_WHO), r.whole("created_unix_ns"),
             r.whole("modified_unix_ns"), r.text("modified_by", MAX_WHO), clicks, r.flag("is_deleted"),
+            r.wholes("was", MOST_FORMER),
         )  # fmt: skip
 
 

@@ -96,6 +96,13 @@ class Reader:
             raise self._wrong(name, f"a list of at most {most}")
         return value
 
+    def wholes(self, name: str, most: int) -> tuple[int, ...]:
+        """Whole numbers from 1, at most `most`; none where there is no such list."""
+        value = [] if self.get(name) is None else self.list(name, most)
+        if not all(isinstance(n, int) and not isinstance(n, bool) and 0 < n < 2**63 for n in value):
+            raise self._wrong(name, "whole numbers from 1")
+        return tuple(value)
+
     def array(self, name: str, shape: tuple[int, ...], most: float, least: float = -math.inf) -> Array:
         """Nested lists of this shape, every number within bounds."""
         try:

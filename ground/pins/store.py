@@ -248,7 +248,7 @@ class PinStore:
                 if new is None:
                     continue
                 if was is None and (new.number in numbers or not 1 <= new.number < MAX_NUMBER):
-                    new = replace(new, number=highest + 1)
+                    new = new.renumbered(highest + 1)
                 highest = max(highest, new.number)
                 numbers.add(new.number)
                 held[new.id] = taken[new.id] = new
@@ -281,14 +281,37 @@ class PinStore:
                 if was is None and held >= most:
                     refused.append((pin, f"there are {held} pins already"))
                     continue
-                if was is None and not self._is_free(taken.number):
-                    taken = replace(taken, number=self._next_number())
                 if not changed:
                     self._file.bump("revision")
                 held += was is None
-                self._written(taken)
+                self._written(self._numbered(pin.number, taken, was))
                 changed += 1
         return changed, refused
+
+    def _numbered(self, wanted: int, taken: Pin, was: Pin | None) -> Pin:
+        """A pin of another server that is to be written over `was`, with the number that it has there, if it can be.
+
+        Of two pins that servers made apart with one number the one that was made first keeps it, on all of them. The
+        other's new number is a change of it, which they receive.
+        """
+        if was is not None and was.number == wanted:
+            return taken
+        other = self._holder(wanted)
+        if 1 <= wanted < MAX_NUMBER and (other is None or _made(taken) < _made(other)):
+            if other is not None:
+                self._written(self._restamped(other.renumbered(self._next_number())))
+            return taken.renumbered(wanted)
+        if was is None:
+            return self._restamped(replace(taken, number=wanted).renumbered(self._next_number()))
+        return self._restamped(taken.renumbered(was.number, wanted))
+
+    def _restamped(self, pin: Pin) -> Pin:
+        return replace(pin, modified_unix_ns=max(self._now_ns(), pin.modified_unix_ns + 1))
+
+    def _holder(self, number: int) -> Pin | None:
+        """The pin of a number, deleted or not."""
+        rows = self._file.rows("SELECT doc FROM pins WHERE number = ?", number)
+        return Pin.from_dict(self._file.json(rows[0][0])) if rows else None
 
     def add_tie(self, tie: Tie, *, who: str = "") -> Tie:
         """Apply a tie to its session. Raises TieRefused if it disagrees with its click or the ties there are."""
@@ -355,7 +378,14 @@ class PinStore:
         is_deleted = then is None or target.is_deleted
         stamp = max(self._now_ns(), held.modified_unix_ns + 1)
         self._written(
-            replace(target, number=held.number, is_deleted=is_deleted, modified_unix_ns=stamp, modified_by=author)
+            replace(
+                target,
+                number=held.number,
+                was=held.was,
+                is_deleted=is_deleted,
+                modified_unix_ns=stamp,
+                modified_by=author,
+            )
         )
 
     def _modified(self, pin_id: str, who: str, did: str, change_of: Callable[[Pin], Pin]) -> Pin:
@@ -378,13 +408,10 @@ class PinStore:
             raise InputError(f"pin {pin.number} by {pin.modified_by!r}: stamped more than a day ahead of this clock")
         if revive and held is not None and held.is_deleted and not pin.is_deleted:
             # A user who imports a file wants what is in it, also what was deleted here since.
-            return replace(pin, number=held.number, modified_unix_ns=max(self._now_ns(), held.modified_unix_ns + 1))
+            return replace(pin.renumbered(held.number), modified_unix_ns=max(self._now_ns(), held.modified_unix_ns + 1))
         if held is not None and order_of(pin) <= order_of(held):
             return None
-        return pin if held is None else replace(pin, number=held.number)
-
-    def _is_free(self, number: int) -> bool:
-        return 1 <= number < MAX_NUMBER and not self._file.rows("SELECT 1 FROM pins WHERE number = ?", number)
+        return pin if held is None else pin.renumbered(held.number, *held.was)
 
     def _held(self, pin_id: str) -> Pin | None:
         rows = self._file.rows("SELECT doc FROM pins WHERE id = ?", pin_id)
@@ -496,12 +523,18 @@ def _text(content: dict[str, Any]) -> str:
 def _content(pin: Pin) -> dict[str, Any]:
     """The content of a pin that a user sees, without the user who changed it last."""
     out = pin.to_dict()
-    for name in ("modified_unix_ns", "modified_by", "number"):
+    for name in ("modified_unix_ns", "modified_by", "number", "was"):
         del out[name]
     return out
 
 
 def order_of(pin: Pin) -> tuple[int, str, str]:
     """The key that orders versions of a pin by time: the same on every server."""
-    plain = replace(pin, number=0)
-    return pin.modified_unix_ns, pin.modified_by, _text(plain.to_dict())
+    plain = replace(pin, number=0).to_dict()
+    del plain["was"]  # as the number: both are a change of the pin, with a time of its own, where servers agree on them
+    return pin.modified_unix_ns, pin.modified_by, _text(plain)
+
+
+def _made(pin: Pin) -> tuple[int, str]:
+    """The key that orders pins by when they were made."""
+    return pin.created_unix_ns, pin.id

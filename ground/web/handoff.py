@@ -125,7 +125,7 @@ def geo_uri(mark: Mark) -> str:
 def readback(mark: Mark) -> str:
     """The text to read over the radio: short groups, single digits, hard to misunderstand."""
     lat, lon = mark.position
-    lines = [f"{_TITLES[Category(mark.category)]}, number {mark.number}{f', {mark.name}' if mark.name else ''}."]
+    lines = [f"{_TITLES[Category(mark.category)]}, number {mark.number_text}{f', {mark.name}' if mark.name else ''}."]
     if square := spoken_mgrs(lat, lon, mark.ce90_m):
         lines.append(f"M G R S: {square}.")
     places = min(decimals("degrees", mark.ce90_m), 5)

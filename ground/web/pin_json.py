@@ -14,6 +14,7 @@ def pin_json(pin: Pin, fused: Fused) -> dict[str, Any]:
     return {
         "id": pin.id,
         "number": pin.number,
+        "was": list(pin.was),
         "name": pin.name,
         "note": pin.note,
         "category": pin.category.value,

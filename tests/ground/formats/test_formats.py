@@ -257,7 +257,7 @@ def test_the_change_of_datum_is_that_of_the_place(code: str, lat_deg: float, lon
     assert np.hypot(p.x - x, p.y - y) * metres < 0.5
 
 
-def test_a_change_of_datum_that_is_not_known_is_said_with_the_coordinate() -> None:
+def test_a_change_of_datum_that_is_not_known_is_stated_with_the_coordinate() -> None:
     unknown = Projection("EPSG:31700").project(46.0, 25.0)
     assert unknown.accuracy_m is None and "may be hundreds of metres off" in unknown.text
     poor = Projection("EPSG:4267").project(61.0, -150.0)

@@ -208,7 +208,7 @@ def test_the_samples_of_what_people_bring_are_read(shared_data: Path) -> None:
         ("lat,lon,checked,minutes\n-43.38,172.40,N,12\n", (-43.38, 172.40)),
     ],
 )
-def test_columns_beside_the_degrees_are_part_of_a_place(table_text: str, expected: tuple[float, float]) -> None:
+def test_columns_next_to_the_degrees_are_part_of_a_place(table_text: str, expected: tuple[float, float]) -> None:
     (pin,) = read_pins_of("a.csv", table_text.encode()).pins
     assert (pin.clicks[0].lat_deg, pin.clicks[0].lon_deg) == pytest.approx(expected, abs=1e-9)
 

@@ -15,6 +15,7 @@ import pytest
 
 from contract.errors import InputError
 from contract.feature_set import SharedErrors
+from ground.formats.mark import Mark
 from ground.pins.model import Category, ClickErrors, Pin, PinClick
 from ground.pins.places import Places
 from ground.pins.store import PinStore
@@ -245,8 +246,9 @@ def test_of_two_servers_the_last_writer_wins_on_both(path: Path | str, tmp_path:
         pin = a.add([clicked()], name="first", who="ann")
         mine = b.add([typed()], name="other", who="bob")
         assert merge(b, pin) and not merge(b, pin)
-        assert sorted(p.number for p in b.pins()) == [1, 2]  # number 1 was taken: ours keeps it
-        assert b.by_number(1).id == mine.id
+        assert sorted(p.number for p in b.pins()) == [1, 2]  # number 1 was given twice: the first one's it stays
+        assert b.by_number(1).id == pin.id
+        assert b.by_number(2).id == mine.id and b.by_number(2).was == (1,)
         # A partition: both change the pin, one of them later.
         ours, theirs = a.edit(pin.id, name="by ann", who="ann"), b.edit(pin.id, name="by bob", who="bob")
         assert theirs.modified_unix_ns > ours.modified_unix_ns
@@ -257,6 +259,54 @@ def test_of_two_servers_the_last_writer_wins_on_both(path: Path | str, tmp_path:
         assert merge(a, gone) and a.pins() == []
         changed, ((_, why),) = a.merge_all([dataclasses.replace(pin, modified_unix_ns=2**62)], most=10)
         assert changed == 0 and "ahead" in why
+
+
+def exchange(stores: list[PinStore]) -> None:
+    """Every server receives all pins of every other, until nothing changes any more."""
+    for _ in range(50):
+        received = [(to, of.everything()) for to in stores for of in stores if to is not of]
+        if not sum(to.merge_all(pins, most=1000)[0] for to, pins in received):
+            return
+    raise AssertionError("the servers do not come to an end")
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_servers_that_were_apart_agree_on_every_number(tmp_path: Path, seed: int) -> None:
+    """A number that one server gives to a tent and another to a hut sends a team to the wrong one of the two."""
+    rng = np.random.default_rng(seed)
+    stores = [PinStore(tmp_path / f"{k}.sqlite") for k in range(3)]
+    made: dict[str, int] = {}  # by id, the number that was perhaps read out at once
+    for _ in range(4):
+        for store in stores:
+            for _ in range(int(rng.integers(0, 4))):
+                pin = store.add([typed()], who="ann")
+                made[pin.id] = pin.number
+            for pin in store.pins():
+                if rng.random() < 0.3:
+                    store.edit(pin.id, note=str(rng.random()))
+        rng.shuffle(stores)
+        exchange(stores[: int(rng.integers(2, 4))])
+    exchange(stores)
+    numbers = [{pin.id: pin.number for pin in store.pins()} for store in stores]
+    assert numbers[0] == numbers[1] == numbers[2]
+    assert len(set(numbers[0].values())) == len(made)
+    for store in stores:
+        for pin in store.pins():
+            assert made[pin.id] in (pin.number, *pin.was) and pin.number not in pin.was
+        store.close()
+
+
+def test_the_pin_that_was_made_first_keeps_its_number_and_the_other_states_which_it_had(path: Path | str) -> None:
+    with PinStore(path) as store:
+        ours = store.add([typed()], name="tent")
+        theirs = dataclasses.replace(ours, id="earlier", name="hut", created_unix_ns=ours.created_unix_ns - 1)
+        assert merge(store, theirs)
+        moved = store.pin(ours.id)
+        assert (store.by_number(1).name, moved.number, moved.was) == ("hut", 2, (1,))
+        assert Mark.of_pin(moved, Places(store).place(moved)).title == "2 (was 1) tent"
+        assert store.edit(moved.id, name="camp").was == (1,)  # for good
+        store.undo()
+        assert store.pin(moved.id).was == (1,)
 
 
 def test_a_file_that_a_wrong_clock_wrote_is_taken_but_for_what_is_here(path: Path | str) -> None:
