@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
-from scipy.signal import savgol_filter
 
 from contract.errors import InputError
 from contract.geodesy import LocalFrame, rotation_enu_ecef
@@ -107,6 +106,8 @@ class RecordedTruth:
         The file rounds to 1 cm and 0.01 degree, 0.05 pixels at 40 degrees' field of view and 25 times a second: a
         short cubic smoothing takes that shake out and leaves the flight.
         """
+        from scipy.signal import savgol_filter  # noqa: PLC0415  with scipy.stats behind it, a second of processor time
+
         position = origin.to_enu(self.lat_deg, self.lon_deg, self.height_amsl_m + undulation_m)
         R_ned_body = matrix_from_euler(*np.radians(self.roll_pitch_yaw_deg).T)
         R_enu_body = axes_from_local(origin, self.lat_deg, self.lon_deg) @ R_ENU_NED @ R_ned_body

@@ -86,6 +86,7 @@ def test_the_same_leg_is_rendered_once(simulated: Leg, tmp_path: Path) -> None:
     assert all(np.array_equal(a, b) for a, b in zip(first.images, again.images, strict=True))
 
 
+@pytest.mark.long  # of a benchmark's words; how it judges tracks: tests/onboard/vision
 def test_tracking_is_compared_with_three_ways_of_raw_flow(simulated: Leg) -> None:
     output = tracking.report(simulated.images, [("8 Hz", 1), ("4 Hz", 2)])
     assert output.count("raw LK, picture to picture") == 2

@@ -8,20 +8,21 @@ import time
 from collections.abc import Callable
 
 PATIENCE_S = 120.0  # for what takes a second where nothing else runs; on a slow machine at a load of 30 a page took 60
-LOOK_S = 0.02
+LOOK_S, LOOK_AT_MOST_S = 0.02, 0.1  # a look may cost a request or a program: one that waits for long looks less often
 LEAST_STALL_S = 0.05  # a sleep that is longer by less is an ordinary one
 
 
 def eventually(condition: Callable[[], object], within_s: float = PATIENCE_S) -> bool:
     """Whether it comes to hold: looked at once more after the time is over, for this thread may have been held up."""
-    deadline_s = time.monotonic() + within_s
+    deadline_s, pause_s = time.monotonic() + within_s, LOOK_S
     while True:
         is_last = time.monotonic() > deadline_s
         if condition():
             return True
         if is_last:
             return False
-        time.sleep(LOOK_S)
+        time.sleep(pause_s)
+        pause_s = min(1.2 * pause_s, LOOK_AT_MOST_S)
 
 
 class Stalls:

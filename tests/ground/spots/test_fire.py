@@ -24,7 +24,6 @@ from ground.link_recorder import LinkRecorder
 from ground.spots.fire import MOST_PICTURES, Fire, FireGround
 from tests.contract.sets import plain_set
 from tests.ground.spots.sampled_spots import HOME, START_NS, Array, covariance, spot_at
-from tests.rest_long import rest_long
 
 COV = covariance(1.5, 1.0, 30.0)
 Ring = tuple[tuple[float, float], ...]
@@ -202,7 +201,8 @@ def test_a_fire_that_is_passed_now_and_then_spreads_as_fast_as_it_does() -> None
     assert rate == pytest.approx(0.5, abs=1.5 * sigma) and sigma < 0.03
 
 
-@pytest.mark.parametrize(("rate_m_s", "times_s"), rest_long([(0.3, PASSES_S), (0.5, EVENLY_S), (0.0, EVENLY_S)]))
+@pytest.mark.long  # short: one that is passed now and then, above, and one that stands, below
+@pytest.mark.parametrize(("rate_m_s", "times_s"), [(0.3, PASSES_S), (0.5, EVENLY_S), (0.0, EVENLY_S)])
 def test_nine_rates_of_spread_of_ten_are_within_their_bounds_and_these_are_no_wider_than_needed(
     rate_m_s: float, times_s: Array
 ) -> None:

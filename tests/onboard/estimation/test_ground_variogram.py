@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from benchmarks.sampled_flight import Ground, HillCountry
 from onboard.estimation.ground_variogram import MIN_POINTS, slope_variance
+from tests.rest_long import rest_long
 
 Array = NDArray[np.float64]
 COUNT, NOISE_M = 200, 0.4
@@ -24,8 +25,8 @@ def strip(rng: np.random.Generator, ground: Ground, length_m: float, width_m: fl
     return np.column_stack([places @ TO_TRACK.T, solved]), float(across)
 
 
-@pytest.mark.parametrize("wrong", [0.0, 0.05])
-@pytest.mark.parametrize(("length_m", "width_m"), [(170.0, 110.0), (300.0, 170.0), (100.0, 100.0)])
+@pytest.mark.parametrize("wrong", rest_long([0.05, 0.0]))
+@pytest.mark.parametrize(("length_m", "width_m"), rest_long([(170.0, 110.0), (300.0, 170.0), (100.0, 100.0)], kept=2))
 @pytest.mark.parametrize(
     ("kind", "sigma_m", "wavelength_m"),
     [(Ground, 6.0, 200.0), (Ground, 3.0, 400.0), (Ground, 20.0, 150.0), (HillCountry, 0.0, 200.0)],

@@ -65,7 +65,8 @@ def accepted(
         ("plane_rough", 10.0),
         pytest.param("plane_rough", 15.0, marks=pytest.mark.long),
         pytest.param("plane_rough", 30.0, marks=pytest.mark.long),
-        ("qp_transition", 0.0),  # on the ground its filter held a place 4 m from its receiver's, and came to that
+        # On the ground its filter held a place 4 m from its receiver's, and came to that.
+        pytest.param("qp_transition", 0.0, marks=pytest.mark.long),
     ],
 )
 def test_a_filter_that_is_shaken_is_not_doubted_for_long(shared_data: Path, name: str, begin_s: float) -> None:

@@ -218,6 +218,7 @@ class FullDisk:
         monkeypatch.setattr(SessionRecorder, "_write", perhaps)
 
 
+@pytest.mark.long  # short, without a daemon: two full disks of tests/onboard/storage/test_rotating_recorder.py
 def test_a_full_disk_stops_the_recording_and_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     disk, begin_s, end_s = FullDisk(monkeypatch), 6.0, 10.0
 

@@ -1,7 +1,7 @@
 """Thermal pictures of rendered ground from poses that are known, each with a set that says so."""
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,7 +44,7 @@ def set_of(
     )  # fmt: skip
 
 
-@dataclass
+@dataclass(frozen=True)
 class Scene:
     """A flight straight on, `step_m` from picture to picture, at 2 pictures a second."""
 
@@ -76,12 +76,18 @@ class Scene:
 
     def picture(self, frame: int, status: Status = Status.OK) -> tuple[Frame, FeatureSet]:
         """A picture and its set."""
-        pose = self.pose(frame)
-        counts = self.sampled.picture([pose], 1.0, frame, 0.5 * frame).astype(np.uint16)
+        pose, counts = self.pose(frame), _counts(self, frame)
         grey = np.zeros(counts.shape, np.uint8)
         return Frame(frame * STEP_NS, frame, grey, counts=counts), set_of(
             self.camera, pose, frame, status, ground_m=self.ground_m(frame)
         )
+
+
+@lru_cache(maxsize=32)  # several tests of a file fly over the same people
+def _counts(scene: Scene, frame: int) -> NDArray[np.uint16]:
+    drawn = scene.sampled.picture([scene.pose(frame)], 1.0, frame, 0.5 * frame).astype(np.uint16)
+    drawn.flags.writeable = False
+    return drawn
 
 
 def place_of(east_m: float, north_m: float) -> tuple[float, float]:

@@ -16,6 +16,7 @@ from onboard.spots.second_camera import STATES, Mount, set_of_second
 from simulation.trajectory import Pose
 from tests.onboard.spots.scenes import BOSON, DOWN, ORIGIN
 from tests.onboard.spots.two_cameras import Turn, thermal_frame
+from tests.rest_long import rest_long
 
 Array = NDArray[np.float64]
 
@@ -157,7 +158,7 @@ def test_on_one_straight_leg_nothing_is_learned_and_nothing_is_claimed() -> None
     np.testing.assert_array_equal(estimate.mount.R_first_second, STATED.R_first_second)
 
 
-@pytest.mark.parametrize("turn", [LEGS, ORBIT])
+@pytest.mark.parametrize("turn", rest_long([LEGS, ORBIT]))
 def test_one_that_walks_is_left_out(turn: Turn) -> None:
     estimate = simulated(np.random.default_rng(1), TRUTH, 72.0, turn, walk_m_s=1.4).estimate
     assert 2 <= estimate.things_used <= 4

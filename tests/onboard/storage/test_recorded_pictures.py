@@ -16,6 +16,7 @@ from onboard.storage.mcap_reader import RecordedFlight
 from onboard.storage.mcap_writer import SessionRecorder
 from onboard.storage.recorded_pictures import RecordedPictures
 from tests.onboard.measured.step_world import CAMERA, CLICKED, EPOCH_NS, World
+from tests.rest_long import rest_long
 
 WORLD = World(roof_m=8.0, seed=12)
 ROOF = (200.0, 85.0)
@@ -59,7 +60,7 @@ def test_the_answer_is_the_aircraft_s_own_where_pictures_are_lossless(tmp_path: 
     assert measured(pictures, ROOF) == live.clicked and live.clicked.is_measured
 
 
-@pytest.mark.parametrize("kind", ["lossless", "jpeg"])
+@pytest.mark.parametrize("kind", rest_long(["jpeg", "lossless"]))
 def test_errors_are_what_the_sigmas_state(kind: str, tmp_path: Path) -> None:
     pictures, questions, z = opened(recorded(tmp_path / "a.mcap", pictures=kind)), Questions(), []
     for uv in np.random.default_rng(4).uniform((30, 30), (290, 210), (40, 2)).round(1):

@@ -55,7 +55,7 @@ def off_px(world: World, thing: Thing, reports: dict[int, TrackReport]) -> float
 
 
 @pytest.mark.parametrize("speed", rest_long([1.4, 6.0]))
-@pytest.mark.parametrize("is_flying", [False, True])
+@pytest.mark.parametrize("is_flying", rest_long([True, False]))
 def test_what_moves_is_given_its_speed_and_course(speed: float, is_flying: bool) -> None:
     course = math.radians(70.0)
     velocity = speed * math.sin(course), speed * math.cos(course)
