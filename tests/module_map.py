@@ -5,6 +5,8 @@ import re
 import sys
 from pathlib import Path
 
+from tests.parsed import parsed
+
 ROOT = Path(__file__).resolve().parents[1]
 SENTENCE = re.compile(r"(?<=[.:])\s+(?=[A-Z0-9`(])")
 HEAD = """# Modules
@@ -22,7 +24,7 @@ def first_sentence(text: str) -> str:
 
 
 def of_python(path: Path) -> str:
-    return first_sentence(ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or "")
+    return first_sentence(ast.get_docstring(parsed(path)) or "")
 
 
 def of_typescript(path: Path) -> str:

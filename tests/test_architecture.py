@@ -11,8 +11,12 @@ from graphlib import TopologicalSorter
 from pathlib import Path
 from typing import NamedTuple
 
-from tests import module_map
+import pytest
 
+from tests import module_map
+from tests.parsed import parsed
+
+pytestmark = pytest.mark.xdist_group("the code's own text")  # one worker: each file is parsed once
 ROOT = Path(__file__).resolve().parents[1]
 MAX_LINES = 600  # what belongs together stays together; functions are kept short by ruff
 
@@ -132,12 +136,12 @@ def imports(module: str) -> tuple[Import, ...]:
                 lazy = is_lazy or isinstance(child, (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda))
                 yield from visit(child, lazy)
 
-    return tuple(visit(ast.parse(path_of(module).read_text(encoding="utf-8")), False))
+    return tuple(visit(parsed(path_of(module)), False))
 
 
 @cache
 def docstring_of(module: str) -> str:
-    return ast.get_docstring(ast.parse(path_of(module).read_text(encoding="utf-8"))) or ""
+    return ast.get_docstring(parsed(path_of(module))) or ""
 
 
 def is_allowed(importer: str, imported: str) -> bool:
@@ -165,7 +169,7 @@ def broken_arrows(all_modules: Iterable[str]) -> list[str]:
 
 def attributes_of(name: str, module: str) -> set[str]:
     """The names of a class's attributes: those that it declares, and those that its methods assign."""
-    tree = ast.parse(path_of(module).read_text(encoding="utf-8"))
+    tree = parsed(path_of(module))
     body = next(n for n in tree.body if isinstance(n, ast.ClassDef) and n.name == name)
     stored = [n for n in ast.walk(body) if isinstance(n, ast.Attribute) and isinstance(n.ctx, ast.Store)]
     declared = {n.target.id for n in body.body if isinstance(n, ast.AnnAssign) and isinstance(n.target, ast.Name)}
@@ -273,7 +277,7 @@ def test_a_window_and_a_record_are_changed_by_their_own_methods_alone() -> None:
     found = [
         f"{path_of(m).relative_to(ROOT)}:{a.lineno} changes {ast.unparse(a)}"
         for m in modules("onboard", "simulation", "demo", "benchmarks")
-        for a in changed_from_outside(ast.parse(path_of(m).read_text(encoding="utf-8")), held)
+        for a in changed_from_outside(parsed(path_of(m)), held)
         if ast.unparse(a) not in SAME_NAMES
     ]
     assert not found, "\n".join(found)

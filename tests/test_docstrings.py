@@ -12,6 +12,9 @@ from pathlib import Path
 
 import pytest
 
+from tests.parsed import parsed
+
+pytestmark = pytest.mark.xdist_group("the code's own text")  # one worker: each file is parsed once
 ROOT = Path(__file__).resolve().parents[1]
 PARTS = {
     "contract": 0.02, "ground": 0.02, "onboard": 0.02, "simulation": 0.02, "demo": 0.02, "benchmarks": 0.02,
@@ -30,7 +33,7 @@ def definitions(part: str) -> tuple[list[tuple[str, str]], list[str]]:
     """Places with their docstrings; and the public functions of more than one statement that have none."""
     found, silent = [], []
     for path in sorted((ROOT / part).rglob("*.py")):
-        tree, name = ast.parse(path.read_text(encoding="utf-8")), path.relative_to(ROOT)
+        tree, name = parsed(path), path.relative_to(ROOT)
         for node in ast.walk(tree):
             if isinstance(node, Function | ast.ClassDef | ast.Module) and (text := ast.get_docstring(node)):
                 found.append((f"{name}:{getattr(node, 'lineno', 1)}", text))

@@ -24,6 +24,7 @@ from tests.bench.image.host import BenchError
 from tests.installed import project
 from tests.left_out import NO_PROGRAM
 from tests.locked import PACKAGING, program
+from tests.parsed import parsed
 
 slim = program("slim")
 OWN = "arm64" if platform.machine() == "aarch64" else "amd64"
@@ -109,7 +110,7 @@ def test_no_module_of_the_aircraft_loads_a_part_of_scipy_that_the_packages_leave
     loaded: dict[str, set[str]] = {}
     for folder in (PACKAGING.parent / "contract", PACKAGING.parent / "onboard"):
         for file in folder.rglob("*.py"):
-            for node in ast.parse(file.read_bytes()).body:
+            for node in parsed(file).body:
                 if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("scipy"):
                     names = {node.module or "", *(f"{node.module}.{alias.name}" for alias in node.names)}
                     loaded.setdefault(file.name, set()).update(".".join(name.split(".")[:2]) for name in names)

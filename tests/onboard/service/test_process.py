@@ -54,14 +54,14 @@ def lines_of(done: subprocess.CompletedProcess[str]) -> dict[str, bool]:
     return {line["name"]: line["is_good"] for line in json.loads(done.stdout)["lines"]}
 
 
-def test_a_daemon_flies_answers_for_itself_and_ends_whole(tmp_path: Path) -> None:
+def test_a_daemon_flies_answers_for_itself_and_ends_whole(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with aircraft(tmp_path, SPEC) as plane:
         plane.start()
         plane.wait_for("ok")
 
         def is_reported() -> bool:  # a busy machine may be "overloaded" for a moment
-            reported = pc_onboard("status", "--config", plane.config)
-            return (reported.returncode, reported.stdout.splitlines()[0]) == (0, "state      ok")
+            code = main(["status", "--config", str(plane.config)])
+            return (code, capsys.readouterr().out.splitlines()[:1]) == (0, ["state      ok"])
 
         assert eventually(is_reported)
         doctor = pc_onboard("doctor", "--config", plane.config, "--json")
@@ -164,7 +164,9 @@ def test_a_configuration_that_cannot_fly_is_one_line_and_exit_2(tmp_path: Path, 
     assert main(["check-config", "--fly", "--config", str(tmp_path / "config.toml")]) == 2
 
 
-def test_the_doctor_looks_for_itself_and_calls_what_is_missing_bad(tmp_path: Path) -> None:
+def test_the_doctor_looks_for_itself_and_calls_what_is_missing_bad(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "config.toml").write_text(
         f'[camera]\ndevice = "/dev/video77"\n[telemetry]\nurl = "serial:{tmp_path / "tty"}:57600"\n'
         f'[link]\nlisten = ["tcp/127.0.0.1:0"]\n[service]\nstate_dir = "{tmp_path / "state"}"\n'
@@ -174,7 +176,8 @@ def test_the_doctor_looks_for_itself_and_calls_what_is_missing_bad(tmp_path: Pat
     found = lines_of(done)
     assert not any(found[name] for name in ("camera", "rate", "exposure", "telemetry", "rates", "gps", "calibration"))
     assert found["mount"]
-    plain = pc_onboard("doctor", "--config", tmp_path / "config.toml", "--seconds", 0.5).stdout.splitlines()
+    assert main(["doctor", "--config", str(tmp_path / "config.toml"), "--seconds", "0.5"]) == 1
+    plain = capsys.readouterr().out.splitlines()
     assert (
         plain[0]
         == "the daemon does not run: looked at what can be seen without it; position and answers were not judged"
