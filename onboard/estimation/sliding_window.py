@@ -282,8 +282,8 @@ class Window:
             self.ground_slope.prior_for(start_ns, self._place_enu_m()) if has_slope else None,
             self.memory,
             is_mount_open,
-            self._has_terrain_agreed,
-            bool(self.terrain_doubt) and not self._has_terrain_agreed,
+            has_terrain_agreed=self._has_terrain_agreed,
+            is_terrain_left_out=bool(self.terrain_doubt) and not self._has_terrain_agreed,
             is_mirrored=self.is_mirrored,
         )
         return self._request
