@@ -81,7 +81,7 @@ class Picture:
     thresholds: dict[float, float]
 
 
-@dataclass
+@dataclass(frozen=True)
 class Strip(Scene):
     """A flight along a strip of the ground `east_m` of its middle."""
 
