@@ -45,6 +45,7 @@ class Mark:
     ce90_m: float | None = None
     le90_m: float | None = None
     sigma_height_m: float | None = None
+    heights_apart_m: float | None = None  # of a pin whose aircraft's heights contradict each other: it has none
     time_unix_ns: int | None = None  # when it was seen last: its newest picture's time
     modified_unix_ns: int | None = None
     vehicle: str = ""
@@ -95,6 +96,8 @@ class Mark:
             parts.append(f"height {self.height_amsl_m:.1f} m AMSL")
         elif self.height_ellipsoid_m is not None:
             parts.append(f"height {self.height_ellipsoid_m:.1f} m above the WGS84 ellipsoid")
+        if self.heights_apart_m is not None:
+            parts.append(f"no height: those of its clicks are {self.heights_apart_m:.0f} m apart")
         if self.le90_m is not None:
             parts[-1] += f" +-{up(self.le90_m):.1f} m (LE90)"
         if self.ellipse is not None:
@@ -159,4 +162,5 @@ class Mark:
             pin.id, name, PLACED, "", **words, lat_deg=place.lat_deg, lon_deg=place.lon_deg,  # type: ignore[arg-type]
             height_ellipsoid_m=place.height_ellipsoid_m, height_amsl_m=place.height_amsl_m, ellipse=place.ellipse,
             ce90_m=place.ce90_m, le90_m=place.le90_m, sigma_height_m=place.sigma_height_m, tied=place.tied,
+            heights_apart_m=place.heights_apart_m,
         )  # fmt: skip

@@ -25,7 +25,8 @@ class Place:
     """The position of a pin. Heights are None where no click has one; every accuracy where no click has one.
 
     `clicks`: how many the position rests on. `chi2` of `freedom` degrees: how well they agree; 0 of 0 for one click.
-    `tied`: how many ties took part.
+    `tied`: how many ties took part. `heights_apart_m`: by how much the clicks' heights differ, where those of different
+    aircraft cannot be of one datum: the place has none then.
     """
 
     lat_deg: float
@@ -37,6 +38,7 @@ class Place:
     chi2: float = 0.0
     freedom: int = 0
     tied: int = 0
+    heights_apart_m: float | None = None
 
     @property
     def ellipse(self) -> Ellipse | None:
@@ -145,6 +147,13 @@ def fuse_groups(groups: Sequence[Sequence[PinClick]], ties: Sequence[Tie] = ()) 
             return Place(lat, lon, *heights, cov, n, chi2, freedom, tied)
 
         if freedom and exceeded_with(chi2, freedom) < CONTRADICTION:
+            loose = _with_loose_datums(y[at], C_apart[at, at], C[at, at], group)
+            if loose is not None:
+                W, C_loose, chi2, freedom = loose
+                weights[3 * g : 3 * g + 3, at] = W
+                found = place(W @ y[at], W @ C_loose @ W.T, n, chi2, freedom, known=False)
+                out.append(replace(found, heights_apart_m=float(np.ptp(y[at][2::3]))))
+                continue
             single = [slice(3 * k, 3 * k + 3) for k in range(n)]
             y_own, C_own = y[at], C[at, at]
             apart = max(float(np.hypot(*(y_own[a] - y_own[b])[:2])) for a in single for b in single)
@@ -228,6 +237,33 @@ def _least_squares(y: Array, C: Array) -> tuple[Array, float]:
     W = np.asarray(np.linalg.solve(N @ A, N), np.float64)
     left = y - np.tile(W @ y, n)
     return W, float(left @ inverse @ left)
+
+
+def _datums(clicks: Sequence[PinClick]) -> dict[object, int]:
+    """Number each source of heights: an aircraft's session, and whatever was entered, each by itself."""
+    keys = dict.fromkeys(_datum(click) for click in clicks)
+    return {key: number for number, key in enumerate(keys)}
+
+
+def _datum(click: PinClick) -> object:
+    return click.id if click.errors is None else (click.vehicle, click.session)
+
+
+def _with_loose_datums(
+    y: Array, apart: Array, same: Array, clicks: Sequence[PinClick]
+) -> tuple[Array, Array, float, int] | None:
+    """Weights, covariance (3 N, 3 N), chi-square and its freedom with an unknown offset of the heights of each source;
+    None of one source, and where the clicks contradict each other all the same. (17.9)
+    """
+    numbers = _datums(clicks)
+    if len(numbers) < 2:
+        return None
+    of = np.array([numbers[_datum(click)] for click in clicks])
+    offset = np.zeros_like(apart)
+    offset[2::3, 2::3] = np.where(of[:, None] == of, UNKNOWN_HEIGHT_SIGMA_M**2, 0.0)
+    W, chi2 = _least_squares(y, apart + offset)
+    freedom = 3 * (len(clicks) - 1) - (len(numbers) - 1)
+    return None if exceeded_with(chi2, freedom) < CONTRADICTION else (W, same + offset, chi2, freedom)
 
 
 def _in_one_datum(clicks: Sequence[PinClick]) -> tuple[list[PinClick], bool, float | None]:

@@ -104,6 +104,7 @@ def place_json(place: Place) -> dict[str, Any]:
         "height_amsl_m": place.height_amsl_m,
         "ce90_m": place.ce90_m,
         "le90_m": place.le90_m,
+        "heights_apart_m": place.heights_apart_m,
         "ellipse": _ellipse(place.ellipse),
         "clicks": place.clicks,
         "tied": place.tied,

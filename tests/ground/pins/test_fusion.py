@@ -114,6 +114,38 @@ def test_one_click_stays_where_it_was_answered() -> None:
     assert place.clicks == 1 and place.freedom == 0
 
 
+@pytest.mark.parametrize(("off_m", "trials"), [(0.0, 30), (30.0, 60), (60.0, 60)])
+def test_aircraft_whose_heights_are_not_of_one_datum_agree_on_the_place(off_m: float, trials: int) -> None:
+    """An autopilot's height above the sea may be off by tens of metres; where the thing is both know."""
+    rng = np.random.default_rng(5)
+    held = []
+    for _ in range(trials):
+        one = sightings(rng, np.array([0.0, 4.0]), np.tile(TARGET, (2, 1)))
+        two = [of_session(c, 7, "b") for c in sightings(rng, np.array([0.0, 4.0]), np.tile(TARGET, (2, 1)))]
+        lifted = [dataclasses.replace(c, height_ellipsoid_m=c.height_ellipsoid_m + off_m) for c in two]
+        place = fuse([*one, *lifted])
+        assert isinstance(place, Place)
+        if place.heights_apart_m is None:
+            assert place.height_ellipsoid_m is not None and off_m < 60.0
+        else:
+            assert place.height_ellipsoid_m is None and place.sigma_height_m is None and off_m > 0.0
+            assert place.heights_apart_m > 0.5 * off_m
+        d = np.asarray(ORIGIN.to_enu(place.lat_deg, place.lon_deg, ORIGIN.height_m))[:2] - TARGET[:2]
+        held.append(d @ np.linalg.solve(place.covariance_enu_m2[:2, :2], d) < CHI2_2)
+    scatter = 2.5 * (0.09 / trials) ** 0.5
+    assert 0.85 - scatter <= np.mean(held)
+
+
+def test_aircraft_that_see_two_things_contradict_each_other_whatever_their_heights() -> None:
+    rng = np.random.default_rng(6)
+    for off_m in (0.0, 30.0):
+        one = sightings(rng, np.array([0.0, 4.0]), np.tile(TARGET, (2, 1)))
+        away = TARGET + [60.0, 0.0, 0.0]
+        two = [of_session(c, 7, "b") for c in sightings(rng, np.array([0.0, 4.0]), np.tile(away, (2, 1)))]
+        lifted = [dataclasses.replace(c, height_ellipsoid_m=c.height_ellipsoid_m + off_m) for c in two]
+        assert isinstance(fuse([*one, *lifted]), Contradiction)
+
+
 @pytest.mark.parametrize(("moved_m", "contradicts"), [(0.0, False), (4.0, False), (60.0, True)])
 def test_clicks_that_contradict_each_other_are_shown_and_not_averaged(moved_m: float, contradicts: bool) -> None:
     rng = np.random.default_rng(5)
