@@ -138,8 +138,10 @@ docs: $(INSTALLED) web
 	@$(BIN)/python packaging/docs_site.py
 	@echo "file://$(CURDIR)/build/docs/site/index.html"
 
-# Types are checked beside the tests: mypy takes a minute of one processor.
-test: lint
+# What the tests need is fetched and built side by side. Types are checked beside the tests: mypy takes a minute of one
+# processor.
+test: $(INSTALLED)
+	@$(MAKE) --no-print-directory --output-sync -j3 lint system-packages web
 	@$(MAKE) --no-print-directory types & types=$$!; \
 	$(MAKE) --no-print-directory pytest; tests=$$?; \
 	wait $$types || { echo "make types failed: its words are above, among the first of the tests" >&2; exit 1; }; \
@@ -186,34 +188,26 @@ types: $(INSTALLED)
 	@mkdir -p "$(dir $(MYPY_KEPT))" && new=$$(mktemp "$(MYPY_KEPT).XXXXXX") && tar -cf "$$new" .mypy_cache && mv "$$new" "$(MYPY_KEPT)" \
 		|| { rm -f "$$new"; echo "$(MYPY_KEPT) cannot be written: the next clone checks types from nothing"; }
 
-# $(1) succeeds, or Debian's packages $(2) are installed where we may; else it is said that $(3) will be left out.
-define from_debian
-	@$(1) || { [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null \
-		&& apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends $(2) >/dev/null; } \
-		|| echo "no $(2): $(3) will be left out"
-endef
-
-# Tests read our unit with the eyes of systemd, our structures with those of the kernel's own header, and the page in a browser.
-.PHONY: systemd-analyze c-header chromium gstreamer
-systemd-analyze:
-	$(call from_debian,command -v systemd-analyze >/dev/null,systemd,the test of the unit)
-
-c-header:
-	$(call from_debian,{ command -v cc >/dev/null && test -f /usr/include/linux/videodev2.h; },gcc libc6-dev,the test against the C header)
-
-chromium:
-	$(call from_debian,command -v chromium-headless-shell >/dev/null,chromium-headless-shell,the tests of the page in a browser)
-
-# A server of pins, which the tests start themselves.
+# What tests look with, from Debian where we may install: systemd reads our unit, the kernel's own header our structures, a
+# browser the page, a server keeps pins, GStreamer plays pictures by RTSP. All that is missing comes in one call, or each
+# alone where one cannot be had; the run's end names the tests that are left out for want of it.
 POSTGRESQL := $(shell sed -n 's/^PACKAGES = "\(.*\)"/\1/p' tests/postgres.py)
-.PHONY: postgresql
-postgresql:
-	$(call from_debian,$(BIN)/python -m tests.postgres,$(POSTGRESQL),the tests of pins in PostgreSQL)
-
-# The system's Python with GStreamer's bindings, and a server that plays pictures by RTSP.
 GSTREAMER := $(shell sed -n '/^PACKAGES = (/,/^)/p' tests/rtsp.py | grep -o '"[^"]*"' | tr -d '"' | tr '\n' ' ')
-gstreamer:
-	$(call from_debian,$(BIN)/python -m tests.rtsp,$(GSTREAMER),the tests of RTSP and GStreamer)
+.PHONY: system-packages
+system-packages: $(INSTALLED)
+	@missing=; \
+	command -v systemd-analyze >/dev/null || missing="$$missing systemd"; \
+	{ command -v cc >/dev/null && test -f /usr/include/linux/videodev2.h; } || missing="$$missing gcc libc6-dev"; \
+	command -v chromium-headless-shell >/dev/null || missing="$$missing chromium-headless-shell"; \
+	$(BIN)/python -m tests.postgres || missing="$$missing $(POSTGRESQL)"; \
+	$(BIN)/python -m tests.rtsp || missing="$$missing $(GSTREAMER)"; \
+	[ -n "$$missing" ] || exit 0; \
+	fetched() { DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "$$@" >/dev/null; }; \
+	if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null && apt-get update -qq; then \
+		fetched $$missing || for package in $$missing; do fetched $$package || echo "no $$package to be had"; done; \
+	else \
+		echo "not installed:$$missing"; \
+	fi
 
 # Tests of the marker expression $(1), three at a time for two cores: many wait most of their time, and with four of
 # them what is drawn in real time fell behind, and the whole took as long. None of them is tried a second time. Those
@@ -236,11 +230,11 @@ define run_tests
 endef
 
 # An empty run is a lost marker, unless PYTEST_ARGS chose the tests; then one of the two must have some.
-pytest: $(INSTALLED) systemd-analyze c-header chromium gstreamer postgresql web
+pytest: $(INSTALLED) system-packages web
 	$(call run_tests,not long,"0 0" $(if $(PYTEST_ARGS),| "0 5" | "5 0"))
 
 # Many drawn flights, for a share or an error that one flight cannot show, and soaks.
-test-long: $(INSTALLED) systemd-analyze c-header chromium gstreamer postgresql web
+test-long: $(INSTALLED) system-packages web
 	$(call run_tests,long,"0 0" | "0 5" $(if $(PYTEST_ARGS),| "5 0"),$(if $(ALL)$(PYTEST_ARGS),,chosen))
 
 # After `make test` on a submission: what tests/submission.py chooses. One after the other: beside the long tests the

@@ -120,7 +120,7 @@ def without_long_tests(workers: int) -> str:
 @pytest.mark.parametrize("workers", [2, 0])
 def test_a_run_names_the_files_whose_long_tests_it_leaves_out(workers: int) -> None:
     assert "LONG TESTS LEFT OUT" in without_long_tests(workers)
-    assert "test_fusion.py: 6" in without_long_tests(workers)
+    assert re.search(r"test_fusion\.py: [1-9]", without_long_tests(workers))
 
 
 def test_what_runs_on_a_submission_is_all_that_is_quick_and_what_is_chosen_of_the_rest() -> None:
