@@ -38,7 +38,7 @@ from ground.last_received import MOST_VEHICLES, LastReceived
 from ground.mavlink_endpoint import SCHEME, MavlinkEndpoint
 from ground.mavlink_sets import MavlinkSets, RadioSystems
 from ground.presence import is_through_router, vehicles_there
-from ground.received_sets import ReceivedSets, two_of_one_name
+from ground.received_sets import ReceivedSets, check_is_one
 from ground.watched_thread import WatchedThread
 
 PICTURE_TIMEOUT_S = 8.0  # of a picture asked for by its number or its time, which may have no set yet
@@ -156,7 +156,7 @@ def _replies(
                 continue
             named = str(answer.answer.vehicle)
             if (before := answers.get(named)) is not None:
-                _check_is_one(before.answer, answer.answer)
+                check_is_one(before.answer, answer.answer)
             answers[named] = answer.later_by(took_s)
         elif (refusal := _refusal(reply.err)) is not None and len(refusing) < MOST_REFUSING:
             named = str(refusal.answer.vehicle)
@@ -165,18 +165,14 @@ def _replies(
             elif named != vehicle:
                 dropped.failed(ForeignMessage(f"{vehicle!r} sends what names {named!r}"))
             else:
-                answers.setdefault(named, refusal.later_by(took_s))
+                if (before := answers.get(named)) is not None:
+                    check_is_one(before.answer, refusal.answer)
+                answers[named] = refusal.later_by(took_s)
     for named in refusing:
         with contextlib.suppress(ValueError):  # a name that no key can hold is no vehicle's
-            if named not in answers and named != ANY_VEHICLE:
+            if named != ANY_VEHICLE:
                 answers |= _replies(session, named, parameters, dropped, timeout_s)
     return answers
-
-
-def _check_is_one(one: FeatureSet | Refusal, other: FeatureSet | Refusal) -> None:
-    """Raise LinkError for sets of two sessions that run at once: whose answer would be taken were chance."""
-    if isinstance(one, FeatureSet) and isinstance(other, FeatureSet) and one.session != other.session:
-        raise LinkError(two_of_one_name(one.vehicle, one.session, other.session))
 
 
 def ask_measured(

@@ -7,6 +7,8 @@ the aircraft itself, asked, answers with.
 
 from __future__ import annotations
 
+from contract.answer import Refusal
+from contract.errors import LinkError
 from contract.feature_set import FeatureSet
 from contract.history import History
 from ground.aircraft_clock import AGREED_S, AHEAD_S, AircraftClock, Moment
@@ -22,6 +24,21 @@ def two_of_one_name(vehicle: str, session: int, other: int | None) -> str:
     return (
         f"two aircraft call themselves {vehicle!r} (sessions {session} and {other} run at once): give each a "
         "vehicle.id of its own"
+    )
+
+
+def check_is_one(one: FeatureSet | Refusal, other: FeatureSet | Refusal) -> None:
+    """Raise LinkError for two answers of one vehicle to one question, unless both are sets of one session: whose answer
+    would be taken were chance.
+    """
+    if isinstance(one, FeatureSet) and isinstance(other, FeatureSet):
+        if one.session != other.session:
+            raise LinkError(two_of_one_name(one.vehicle, one.session, other.session))
+        return
+    refusal = one if isinstance(one, Refusal) else other
+    raise LinkError(
+        f"two aircraft call themselves {refusal.vehicle!r} (both answered one question, one with "
+        f"{refusal.status.value!r}): give each a vehicle.id of its own"
     )
 
 

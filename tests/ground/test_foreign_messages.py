@@ -227,3 +227,23 @@ def test_of_two_aircraft_of_one_name_neither_answers(station: Station) -> None:
     finally:
         one.close()
         other.close()
+
+
+def test_of_two_aircraft_of_one_name_neither_answers_where_one_refuses(station: Station) -> None:
+    """One of them has no picture yet: what the other answered was taken, or its refusal, as chance had it."""
+    one, other = station.aircraft("uav-1"), station.aircraft("uav-1")
+    reasons: list[str] = []
+
+    def is_refused() -> bool:
+        one.publish(now(TRUE))
+        try:
+            ask(station.endpoint, "uav-1", tls=station.tls("anna"))
+        except LinkError as error:
+            reasons.append(str(error))
+        return any("two aircraft call themselves 'uav-1'" in words for words in reasons)
+
+    try:
+        assert eventually(is_refused), reasons
+    finally:
+        one.close()
+        other.close()
