@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 
 from contract.geodesy import LocalFrame
+from ground.__main__ import main as ground
 from ground.recording import Recording
 from simulation.flight import RecordedSpec
 from simulation.session import SessionSpec
@@ -28,7 +29,7 @@ from tests.onboard.link.ports import free_endpoint
 from tests.rest_long import rest_long
 from tests.scenarios.flights import CHI2_90, CHI2_99
 from tests.scenarios.flights import simulated as session_of
-from tests.waiting import PATIENCE_S
+from tests.waiting import PATIENCE_S, eventually
 
 pytestmark = pytest.mark.xdist_group("end to end")  # one worker: what they share is made once
 
@@ -218,16 +219,25 @@ def test_a_flying_aircraft_can_be_clicked_from_another_process(flight: Path, end
         assert np.hypot(enu_m[0], enu_m[1]) < 6.0
 
 
-def test_newest_time_and_unknown_pictures_over_the_link(flight: Path, endpoint: str) -> None:
-    click_until(endpoint, 320, 240, "--frame", FRAMES - 1, code=0)
-    newest = json.loads(click_until(endpoint, 320, 240, "--max-age", "inf", code=0).stdout)
+def test_newest_time_and_unknown_pictures_over_the_link(
+    flight: Path, endpoint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As a command of its own: the test above; here within this process."""
+
+    def clicked(*arguments: object, code: int) -> dict[str, Any]:
+        words = ["click", *map(str, arguments), "--connect", endpoint, "--format", "json"]
+        assert eventually(lambda: (capsys.readouterr(), ground(words) == code)[1])
+        return json.loads(capsys.readouterr().out)
+
+    clicked(320, 240, "--frame", FRAMES - 1, code=0)
+    newest = clicked(320, 240, "--max-age", "inf", code=0)
     assert newest["frame"] == FRAMES - 1
     # The flight is over and nothing newer comes: what was the newest picture is not what is seen now for long.
-    stale = json.loads(click_until(endpoint, 320, 240, code=3).stdout)
+    stale = clicked(320, 240, code=3)
     assert (stale["status"], stale["frame"]) == ("stale", FRAMES - 1) and 3.0 < stale["age_s"] < 300.0
     stamp = float(list(csv.DictReader((flight / "stamps.csv").open()))[20]["unix_time_s"])
-    assert json.loads(click_until(endpoint, 320, 240, "--time", stamp, code=0).stdout)["frame"] == 20
-    refused = json.loads(click_until(endpoint, 320, 240, "--frame", 999, code=3).stdout)
+    assert clicked(320, 240, "--time", stamp, code=0)["frame"] == 20
+    refused = clicked(320, 240, "--frame", 999, code=3)
     assert (refused["status"], refused["frame"]) == ("unknown_frame", 999)
 
 

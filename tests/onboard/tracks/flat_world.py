@@ -42,6 +42,12 @@ class Thing:
         return not self.until_s <= time_s < self.again_s
 
 
+def covered(centre_px: float, half_px: float, count: int) -> tuple[int, int]:
+    """The first of `count` pixels that a thing covers a part of, and the first after those."""
+    first = min(max(math.floor(centre_px - half_px - 0.5), 0), count)
+    return first, min(max(math.ceil(centre_px + half_px + 0.5) + 1, first), count)
+
+
 @dataclass
 class World:
     """The camera is above `camera` (east, north) at a time, `gain` (of the exposure) times as bright."""
@@ -75,17 +81,18 @@ class World:
         left, top = 450.0 + east / M_PX - 159.5, 450.0 - north / M_PX - 119.5
         M = np.array([[1.0, 0.0, left], [0.0, 1.0, top]])
         out = cv2.warpAffine(self.ground(t), M, (320, 240), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
-        columns, rows = np.meshgrid(np.arange(320.0), np.arange(240.0))
         for thing in self.things:
             if not thing.is_shown(t):
                 continue
             u, v = self.pixel(thing, frame)
             half = 0.5 * thing.size_m / M_PX
+            columns, rows = np.arange(*covered(u, half, 320)), np.arange(*covered(v, half, 240))[:, np.newaxis]
             cover = np.clip(half - np.abs(columns - u) + 0.5, 0.0, 1.0) * np.clip(
                 half - np.abs(rows - v) + 0.5, 0.0, 1.0
             )
             spots = 25.0 * np.sign((columns - u) * (rows - v))
-            out = out + cover * (thing.grey + spots - out)
+            out = out.astype(np.float64)
+            out[rows, columns] += cover * (thing.grey + spots - out[rows, columns])
         noisy = self.gain(t) * (self._scale * out + self._lift) + self._rng.normal(0.0, 1.5, out.shape)
         return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
 
