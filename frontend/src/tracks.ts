@@ -109,7 +109,8 @@ function placeAt(path: readonly TrackReport[], ms: number): TrackPlace | null {
   const near = (report: TrackReport | null): boolean => report !== null && Math.abs(captureMs(report.capture_unix_ns) - ms) <= NEAR_MS;
   if (before?.place != null && after?.place != null && near(before) && near(after)) {
     const from = captureMs(before.capture_unix_ns), part = (ms - from) / Math.max(captureMs(after.capture_unix_ns) - from, 1);
-    return { ...before.place, lat_deg: before.place.lat_deg + part * (after.place.lat_deg - before.place.lat_deg), lon_deg: before.place.lon_deg + part * (after.place.lon_deg - before.place.lon_deg) };
+    const turn = ((after.place.lon_deg - before.place.lon_deg + 540) % 360) - 180; // over the date line too
+    return { ...before.place, lat_deg: before.place.lat_deg + part * (after.place.lat_deg - before.place.lat_deg), lon_deg: before.place.lon_deg + part * turn };
   }
   const nearest = near(before) ? before : near(after) ? after : null;
   if (nearest?.place == null) return null;

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import getpass
 import math
+import shlex
 import sys
 import time
 from contextlib import closing
@@ -312,15 +313,24 @@ def _clear(store: PinStore, args: argparse.Namespace) -> int:
 
 
 def _undo(store: PinStore, args: argparse.Namespace) -> int:
-    what = store.undo()
-    print("there is nothing to undo" if what is None else f"undone: {what}")
+    what = store.undo(who=args.who)
+    print(_nothing(store, "undo", "done") if what is None else f"undone: {what}")
     return ANSWERED
 
 
 def _redo(store: PinStore, args: argparse.Namespace) -> int:
-    what = store.redo()
-    print("there is nothing to redo" if what is None else f"done again: {what}")
+    what = store.redo(who=args.who)
+    print(_nothing(store, "redo", "undone") if what is None else f"done again: {what}")
     return ANSWERED
+
+
+def _nothing(store: PinStore, verb: str, state: str) -> str:
+    """Words for no change of one's own that could be undone; another's last one is named, and left."""
+    last = store.last_change(state)
+    if last is None:
+        return f"there is nothing to {verb}"
+    what, who = last
+    return f"there is nothing of yours to {verb}; the last is {what!r} by {who!r}: pins {verb} --who {shlex.quote(who)}"
 
 
 def _share(store: PinStore, args: argparse.Namespace) -> int:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import base64
 import time
 import uuid
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Any
@@ -280,9 +280,9 @@ class Pin:
     is_deleted: bool = False
     was: tuple[int, ...] = ()
 
-    def renumbered(self, number: int, *was: int) -> Pin:
-        """The pin with another number; the one it had, and `was`, are kept."""
-        before = dict.fromkeys((*self.was, self.number, *was))
+    def numbered(self, number: int, was: Iterable[int]) -> Pin:
+        """The pin with a number, and others that it had next to those that are known."""
+        before = dict.fromkeys((*self.was, *was))
         return replace(self, number=number, was=tuple(n for n in before if n and n != number)[:MOST_FORMER])
 
     @property

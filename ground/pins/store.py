@@ -27,6 +27,7 @@ from ground.pins.ties import TieRefused, judge
 MAX_CROP_BYTES = 2_000_000
 # A pin from another server may be at most this far ahead of now: clocks differ, but one far ahead would always win.
 MAX_AHEAD_NS = 86_400_000_000_000
+PASSING_NS = 60_000_000_000  # for which a number that came of servers' agreeing is not yet one that somebody has used
 MAX_NUMBER = 10**9  # that are given again as they came in a file or from another server
 
 _NUMBER = attrgetter("number")
@@ -46,6 +47,7 @@ class PinStore:
         self._file: PinTables = PinDatabase(str(path)) if is_url(str(path)) else PinFile(Path(path))
         self._pins: dict[str, Pin] = {}  # tombstones too, by number, as of revision `_seen`
         self._seen = 0
+        self._given: dict[str, tuple[int, int]] = {}  # numbers of moved pins, and when (ns), by id
         self._written_texts: dict[str, Pin] = {}  # of the last change
         self._ties: tuple[int, list[Tie]] = (-1, [])
 
@@ -248,7 +250,7 @@ class PinStore:
                 if new is None:
                     continue
                 if was is None and (new.number in numbers or not 1 <= new.number < MAX_NUMBER):
-                    new = new.renumbered(highest + 1)
+                    new = new.numbered(highest + 1, (new.number,))
                 highest = max(highest, new.number)
                 numbers.add(new.number)
                 held[new.id] = taken[new.id] = new
@@ -299,11 +301,23 @@ class PinStore:
         other = self._holder(wanted)
         if 1 <= wanted < MAX_NUMBER and (other is None or _made(taken) < _made(other)):
             if other is not None:
-                self._written(self._restamped(other.renumbered(self._next_number())))
-            return taken.renumbered(wanted)
+                self._written(self._moved(other))
+            return taken if was is None else taken.numbered(wanted, self._read_out(was))
         if was is None:
-            return self._restamped(replace(taken, number=wanted).renumbered(self._next_number()))
-        return self._restamped(taken.renumbered(was.number, wanted))
+            return self._moved(replace(taken, number=wanted))
+        return self._restamped(taken)  # by which they receive its number here
+
+    def _moved(self, pin: Pin) -> Pin:
+        """A pin whose number is another's, with the next free one."""
+        made = self._restamped(pin.numbered(self._next_number(), self._read_out(pin)))
+        self._given[pin.id] = made.number, self._now_ns()
+        return made
+
+    def _read_out(self, pin: Pin) -> tuple[int, ...]:
+        """A pin's number, unless it was given so shortly ago, while many came, that no one will have read it out."""
+        number, given_ns = self._given.get(pin.id, (0, 0))
+        is_passing = number == pin.number and self._now_ns() - given_ns < PASSING_NS
+        return () if is_passing else (pin.number,)
 
     def _restamped(self, pin: Pin) -> Pin:
         return replace(pin, modified_unix_ns=max(self._now_ns(), pin.modified_unix_ns + 1))
@@ -339,6 +353,13 @@ class PinStore:
     def redo(self, *, who: str | None = None) -> str | None:
         """Make again the change that was undone last."""
         return self._turned("undone", "done", "seq ASC", who)
+
+    def last_change(self, state: str) -> tuple[str, str] | None:
+        """What the last change was that is `done`, or the first that is `undone`, and whose; None if there is none."""
+        order = {"done": "DESC", "undone": "ASC"}[state]
+        with self._file.reading():
+            rows = self._file.rows(f"SELECT what, who FROM changes WHERE state = ? ORDER BY seq {order} LIMIT 1", state)
+        return (str(rows[0][0]), str(rows[0][1])) if rows else None
 
     # Inside a transaction
 
@@ -408,10 +429,11 @@ class PinStore:
             raise InputError(f"pin {pin.number} by {pin.modified_by!r}: stamped more than a day ahead of this clock")
         if revive and held is not None and held.is_deleted and not pin.is_deleted:
             # A user who imports a file wants what is in it, also what was deleted here since.
-            return replace(pin.renumbered(held.number), modified_unix_ns=max(self._now_ns(), held.modified_unix_ns + 1))
+            ours = pin.numbered(held.number, held.was)
+            return replace(ours, modified_unix_ns=max(self._now_ns(), held.modified_unix_ns + 1))
         if held is not None and order_of(pin) <= order_of(held):
             return None
-        return pin if held is None else pin.renumbered(held.number, *held.was)
+        return pin if held is None else pin.numbered(held.number, held.was)
 
     def _held(self, pin_id: str) -> Pin | None:
         rows = self._file.rows("SELECT doc FROM pins WHERE id = ?", pin_id)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.errors import InputError
+from contract.geodesy import within_180
 from ground.seen.cells import Cells
 from ground.seen.outline import Patch, cells_inside, cells_within, hull, patches
 from ground.seen.tally import TILE, SeenGround, area_m2
@@ -136,6 +137,6 @@ def gaps(cells: Cells, row0: int, column0: int, mask: Mask) -> list[Gap]:
         row, column = np.nonzero(inside)
         at = int(np.argmin((row - row.mean()) ** 2 + (column - column.mean()) ** 2))
         lat = float(cells.lat_deg(row0 + y0 + int(row[at]) + 0.5))
-        lon = float(cells.lon_deg(column0 + x0 + int(column[at]) + 0.5))
+        lon = within_180(float(cells.lon_deg(column0 + x0 + int(column[at]) + 0.5)))
         out.append(Gap(patch, area_m2, lat, lon))
     return sorted(out, key=lambda gap: -gap.area_m2)

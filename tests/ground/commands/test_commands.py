@@ -195,6 +195,23 @@ def test_pins_come_back_from_files_as_they_were(
     assert "nothing to undo" in [printed("undo") for _ in range(20)][-1]
 
 
+def test_undo_leaves_what_another_has_done(pins: str, capsys: pytest.CaptureFixture[str]) -> None:
+    def printed(*arguments: object) -> str:
+        status, out, err = run(capsys, "pins", *arguments, "--pins", pins)
+        assert status == 0, err
+        return out
+
+    printed("add", "--at", "1.0,2.0", "--who", "ann")
+    printed("add", "--at", "3.0,4.0", "--who", "ben")
+    assert "pin 1 added" in printed("undo", "--who", "ann")
+    left = printed("undo", "--who", "ann")
+    assert "nothing of yours" in left and "'pin 2 added' by 'ben'" in left and "--who ben" in left
+    assert len(printed("list").splitlines()) == 1
+    assert "pin 2 added" in printed("undo", "--who", "ben")
+    assert printed("undo", "--who", "ben").strip() == "there is nothing to undo"
+    assert "nothing of yours to redo" in printed("redo", "--who", "cat")
+
+
 def test_a_tie_on_the_command_line(session: str, pins: str, capsys: pytest.CaptureFixture[str]) -> None:
     truth = WORLDS[3].truth_enu_m[0]
     u, v = WORLDS[3].clicks_px[0]

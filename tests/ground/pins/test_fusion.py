@@ -20,8 +20,8 @@ TARGET = np.array([30.0, -20.0, 0.0])
 
 
 def enu(place: Place) -> Array:
-    assert place.height_ellipsoid_m is not None
-    return np.asarray(ORIGIN.to_enu(place.lat_deg, place.lon_deg, place.height_ellipsoid_m))
+    height_m = ORIGIN.height_m if place.height_ellipsoid_m is None else place.height_ellipsoid_m
+    return np.asarray(ORIGIN.to_enu(place.lat_deg, place.lon_deg, height_m))
 
 
 def inside(place: Place, truth: Array = TARGET) -> bool:

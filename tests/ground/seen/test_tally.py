@@ -14,6 +14,7 @@ from contract.errors import InputError
 from contract.feature_set import FeatureSet, Status
 from ground.seen import pictures, tally
 from ground.seen.cells import Cells
+from ground.seen.coverage import gaps
 from ground.seen.picture_cells import picture_cells
 from ground.seen.tally import SeenGround, round_cell_m
 from tests.ground.seen.levels import CAMERA, CAPTURE_NS, PLACE, level_set
@@ -172,6 +173,14 @@ def test_cells_hold_the_places_that_they_are_of_also_beyond_the_date_line() -> N
 def test_cells_that_cannot_be_are_refused(lat: float, cell: float) -> None:
     with pytest.raises(InputError):
         Cells.about(lat, 0.0, cell)
+
+
+def test_a_gap_beyond_the_date_line_is_where_other_programs_look() -> None:
+    cells = Cells.about(-16.8, 179.9999, 5.0)
+    mask = np.ones((4, 4), bool)
+    row, column = (int(index) for index in cells.at(-16.8, -179.999))
+    (gap,) = gaps(cells, row, column, mask)
+    assert gap.lon_deg == pytest.approx(-179.999, abs=3e-4)
 
 
 def test_it_needs_nothing_but_numpy() -> None:
