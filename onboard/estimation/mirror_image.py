@@ -1,7 +1,7 @@
 """Pictures that are mirror images of what the camera sees, as a flip in its settings or a mirror in its way makes them.
 
-In level flight they are as rigid as true ones: they show the ground's mirror image, and no feature's residual tells.
-But they roll and yaw the other way than the vehicle does. So a window is solved with its pictures flipped, left for
+In level flight they are as rigid as true ones: they show the ground's mirror image, and no residual of features reveals
+it. But they roll and yaw the other way than the vehicle does. So a window is solved with its pictures flipped, left for
 right and upside down, until one of the three is clearly the likeliest. (19.6)
 """
 
@@ -14,7 +14,6 @@ from onboard.estimation.judge import excess_over
 from onboard.estimation.keyframe import have_attitude
 from onboard.estimation.moved_optics import MAX_VARIANCE, is_attitude_contradicted
 from onboard.estimation.window_problem import Weighed
-from onboard.navigation.limits import CLEAR
 
 ACROSS, UPSIDE_DOWN = 0, 1  # the image axis that is flipped
 
@@ -37,9 +36,10 @@ def shown(weighed: Weighed) -> bool | None:
 
 
 def _is_likelier(mirrored: Weighed, own: Weighed) -> bool:
-    """Return whether mirror images are a thousand times likelier, and explain pictures and attitudes.
+    """Return whether mirror images are clearly likelier, and explain pictures and attitudes.
 
-    What is wrong otherwise, attitudes of another time or a lens that zoomed, fits no better for being flipped.
+    What is wrong otherwise, a lens that zoomed or a heading, fits no better for being flipped. Gusts that tilt the
+    aircraft to and fro may, where attitudes are half a period off: until a turn, they are then refused as well.
     """
     excess = excess_over(own.solution, mirrored.solution)
-    return excess.evidence > CLEAR and excess.variance < MAX_VARIANCE and not is_attitude_contradicted(mirrored)
+    return excess.is_clear() and excess.variance < MAX_VARIANCE and not is_attitude_contradicted(mirrored)

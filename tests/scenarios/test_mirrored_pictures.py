@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from benchmarks.sampled_flight import SampledFlight, SampledSpec, fly, replace_section
 from contract.feature_set import Status
+from onboard.config.delay_prior import NETWORK_PRIOR_S
 from onboard.config.schema import parse_config
 from onboard.pipeline.pipeline import Pipeline
 from simulation.paths import PathSpec
@@ -20,6 +21,7 @@ from tests.sampled_clicks import chi2_of, located
 CONFIG = parse_config("")
 SIDEWAYS = replace_section(CONFIG, "mount", yaw_deg=90.0)  # the picture's top is towards the right wing
 LEVEL = SampledSpec(CONFIG, PathSpec("straight"), 8.0, 1.5)
+STREAM = replace_section(CONFIG, "camera", sigma_latency_s=NETWORK_PRIOR_S[1])
 TURNS = SampledSpec(CONFIG, PathSpec("turns", leg_m=120.0), 16.0, 1.5)
 PIXELS = np.array([[120.0, 100.0], [330.0, 250.0], [560.0, 400.0]])
 
@@ -45,7 +47,7 @@ class FlippedFlight(SampledFlight):
         return self._flipped(frame, uv), seen
 
 
-def flown(flight: SampledFlight) -> tuple[Counter[Status], list[Any], Pipeline]:
+def outcome_of(flight: SampledFlight) -> tuple[Counter[Status], list[Any], Pipeline]:
     """The pictures' statuses by their last sets, and errors of all clicks in ellipses."""
     sets, pipeline = fly(flight)
     ratios = [
@@ -62,11 +64,12 @@ def flown(flight: SampledFlight) -> tuple[Counter[Status], list[Any], Pipeline]:
         pytest.param(SampledSpec(SIDEWAYS, LEVEL.path, 8.0, 1.5), 1, 3, marks=pytest.mark.long),
         pytest.param(TURNS, 0, 3, marks=pytest.mark.long),
         pytest.param(SampledSpec(CONFIG, LEVEL.path, 8.0, 1.5, has_terrain=True), 0, 3, marks=pytest.mark.long),
+        pytest.param(SampledSpec(STREAM, LEVEL.path, 12.0, 2.0, offset_s=0.3), 0, 3, marks=pytest.mark.long),
     ],
-    ids=["level", "level, another", "across", "turns", "over a terrain model"],
+    ids=["level", "level, another", "across", "turns", "over a terrain model", "a stream"],
 )
 def test_mirror_images_are_called_that_and_answer_nothing(spec: SampledSpec, axis: int, seed: int) -> None:
-    statuses, ratios, pipeline = flown(FlippedFlight(spec, seed, axis))
+    statuses, ratios, pipeline = outcome_of(FlippedFlight(spec, seed, axis))
     assert not ratios and not statuses[Status.OK]
     assert statuses[Status.MIRRORED] > 0.6 * statuses.total(), statuses
     assert pipeline.window.is_mirrored
@@ -85,7 +88,17 @@ def test_mirror_images_are_called_that_and_answer_nothing(spec: SampledSpec, axi
     ids=["level", "level, another", "across", "turns"],
 )
 def test_pictures_as_the_camera_sees_are_known_for_that_and_answered(spec: SampledSpec, seed: int) -> None:
-    statuses, ratios, pipeline = flown(SampledFlight(spec, seed))
+    statuses, ratios, pipeline = outcome_of(SampledFlight(spec, seed))
     assert statuses == {Status.OK: statuses.total()}
     assert max(ratios) < 2.0
     assert pipeline.window.is_mirrored is False  # later windows are not asked again
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("offset_s", [-0.45, 0.45])
+def test_a_stream_that_is_late_or_early_is_not_called_mirrored_for_long(offset_s: float) -> None:
+    """Half a gust late the vehicle tilts the other way than the pictures: the first turn shows otherwise."""
+    path = PathSpec("turns", leg_m=200.0)
+    statuses, _, pipeline = outcome_of(SampledFlight(SampledSpec(STREAM, path, 20.0, 2.0, offset_s=offset_s), 3))
+    assert statuses[Status.MIRRORED] < 0.2 * statuses.total() < 0.7 * statuses.total() < statuses[Status.OK], statuses
+    assert pipeline.window.is_mirrored is False
