@@ -24,6 +24,7 @@ from simulation.study_world import (
     two_views,
     unit_depth,
 )
+from tests.rest_long import rest_long
 
 
 def rays(uv_px: np.ndarray) -> np.ndarray:
@@ -79,7 +80,7 @@ def test_misalignment_hurts_the_start_and_adjustment_removes_it(turned: str, axi
 
 @pytest.mark.parametrize("turned", ["first", "second"])
 @pytest.mark.parametrize("axis", list(AXES))
-@pytest.mark.parametrize("angle_deg", [-15.0, -5.0, 5.0, 15.0])
+@pytest.mark.parametrize("angle_deg", rest_long([-15.0, 15.0, -5.0, 5.0], kept=2))
 def test_onboards_start_reaches_a_centimetre_within_fifteen_iterations(
     turned: str, axis: str, angle_deg: float
 ) -> None:

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.rest_long import rest_long
 from training.labelled_pictures import KINDS
 from training.model_card import card
 from training.peaks import peaks_of
@@ -47,18 +48,16 @@ def test_a_higher_score_is_never_less_likely_a_thing(stated: dict[str, Any]) -> 
             assert 0.0 <= again["lost"] < 1.0
 
 
-def test_the_net_finds_warm_shapes_of_people_first_in_pictures_of_either_size() -> None:
-    rng = np.random.default_rng(0)
-    net = OnnxNet(NET)
-    for height, width in ((512, 640), (256, 320)):
-        ground = cv2.GaussianBlur(rng.normal(0.0, 1.0, (height, width)), (0, 0), 3.0)
-        grey = 90.0 + 60.0 * ground / ground.std() / 3
-        people = [(60, 80), (200, 120), (130, 200)]
-        for u, v in people:
-            cv2.ellipse(grey, (u, v), (4, 8), 0.0, 0.0, 360.0, 230.0, -1)
-        maps = net.maps(np.clip(cv2.GaussianBlur(grey, (0, 0), 1.0), 0, 255).astype(np.uint8))
-        assert maps.shape == (7, height // 4, width // 4)
-        peaks = peaks_of(maps, 0.1)
-        strongest = np.argsort(np.where(peaks.kind == 0, -peaks.score, 0.0))[: len(people)]
-        at = peaks.middle_px[strongest]
-        assert all(np.linalg.norm(at - person, axis=1).min() < 4.0 for person in people)
+@pytest.mark.parametrize(("height", "width"), rest_long([(256, 320), (512, 640)]))
+def test_the_net_finds_warm_shapes_of_people_first_in_pictures_of_either_size(height: int, width: int) -> None:
+    ground = cv2.GaussianBlur(np.random.default_rng(0).normal(0.0, 1.0, (height, width)), (0, 0), 3.0)
+    grey = 90.0 + 60.0 * ground / ground.std() / 3
+    people = [(60, 80), (200, 120), (130, 200)]
+    for u, v in people:
+        cv2.ellipse(grey, (u, v), (4, 8), 0.0, 0.0, 360.0, 230.0, -1)
+    maps = OnnxNet(NET).maps(np.clip(cv2.GaussianBlur(grey, (0, 0), 1.0), 0, 255).astype(np.uint8))
+    assert maps.shape == (7, height // 4, width // 4)
+    peaks = peaks_of(maps, 0.1)
+    strongest = np.argsort(np.where(peaks.kind == 0, -peaks.score, 0.0))[: len(people)]
+    at = peaks.middle_px[strongest]
+    assert all(np.linalg.norm(at - person, axis=1).min() < 4.0 for person in people)

@@ -100,6 +100,7 @@ def roof_click(measure: Measure) -> tuple[Fix, float]:
     return found.answer, time.monotonic() - began_s
 
 
+@pytest.mark.wall_clock  # within half a second
 def test_the_answer_is_the_measured_one_or_in_time_the_interpolated_one(measuring: MeasureThread) -> None:
     measured, _ = roof_click(measuring.measure)
     assert measured.method == "measured" and measured.above_ground_m == pytest.approx(8.0, abs=1.0)
