@@ -369,7 +369,10 @@ def test_positions_by_name_go_before_the_photographs_own(
     photos, made = tmp_path / "photos", tmp_path / "flight"
     write_photographs(session, photos, Style())
     names = sorted(path.name for path in photos.glob("*.JPG"))
-    lines = [f"{name} 172.4 {-43.0 - 1e-4 * k:.8f} {400 + k} 0 0 0 0.03 0.05" for k, name in enumerate(names)]
+    with (session / "truth.csv").open(newline="") as stream:  # as they flew, 80 m farther east
+        places = [(float(row["lon_deg"]) + 0.001, row["lat_deg"]) for row in csv.DictReader(stream)]
+    placed = enumerate(zip(names, places, strict=True))
+    lines = [f"{name} {lon:.9f} {lat} {400 + k} 0 0 0 0.03 0.05" for k, (name, (lon, lat)) in placed]
     geo = photos / "geo.txt"
     geo.write_text("\n".join(["EPSG:4326", *lines]))
     assert main(["import-photos", str(photos), "--out", str(made)]) == 0
@@ -378,8 +381,9 @@ def test_positions_by_name_go_before_the_photographs_own(
     with (made / "telemetry.csv").open(newline="") as stream:
         rows = list(csv.DictReader(stream))
     assert [float(row["height_amsl_m"]) for row in rows] == [400.0 + k for k in range(len(names))]
-    stated = ("lon_deg", "sigma_horizontal_m", "sigma_vertical_m", "sigma_datum_m")
-    assert {tuple(row[name] for name in stated) for row in rows} == {("172.400000000", "0.03", "0.05", "40.0")}
+    assert [row["lon_deg"] for row in rows] == [f"{lon:.9f}" for lon, _ in places]
+    stated = ("sigma_horizontal_m", "sigma_vertical_m", "sigma_datum_m")
+    assert {tuple(row[name] for name in stated) for row in rows} == {("0.03", "0.05", "40.0")}
     command = ["import-photos", str(photos), "--telemetry", str(geo), "--out", str(tmp_path / "again")]
     for content, printed in (
         ("EPSG:4326\n" + "\n".join(lines[1:]), f"none of {names[0]}"),
