@@ -7,5 +7,5 @@ from pathlib import Path
 
 @cache
 def parsed(path: Path) -> ast.Module:
-    """The syntax tree of a file, which nobody changes."""
+    """The syntax tree of a file, not to be changed."""
     return ast.parse(path.read_text(encoding="utf-8"))

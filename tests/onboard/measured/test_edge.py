@@ -11,7 +11,6 @@ from onboard.measured.patches import Patch
 from onboard.measured.views import Features, View, relative_pose, view_of
 from tests.onboard.measured.step_world import CAMERA, CLICKED, World
 from tests.onboard.measured.test_measuring import off_in_sigmas
-from tests.rest_long import rest_long
 
 ALL = np.ones(225, bool)
 GROUND = Ground(0.0100, 0.0001, np.zeros(2), 0.0001, 1.0 / 0.003)
@@ -64,7 +63,7 @@ def test_what_no_pixel_contradicts_is_as_likely_as_an_edge_is_and_what_all_do_is
     assert behind(patch, seen, (0.009, np.zeros(2)), ALL, GROUND) == 0.0  # nothing is farther
 
 
-@pytest.mark.parametrize("seed", rest_long([3, 4]))
+@pytest.mark.parametrize("seed", [3, 4])
 def test_next_to_a_roof_s_edge_plain_ground_is_not_the_roof_for_sure(seed: int) -> None:
     """Up to five pixels off the edge the roof's depth is found, off by all its height. Without (29.13) that is 9 to 110
     of its sigmas.

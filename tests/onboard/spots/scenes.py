@@ -85,9 +85,9 @@ class Scene:
 
 @lru_cache(maxsize=32)  # several tests of a file fly over the same people
 def _counts(scene: Scene, frame: int) -> NDArray[np.uint16]:
-    drawn = scene.sampled.picture([scene.pose(frame)], 1.0, frame, 0.5 * frame).astype(np.uint16)
-    drawn.flags.writeable = False
-    return drawn
+    counts = scene.sampled.picture([scene.pose(frame)], 1.0, frame, 0.5 * frame).astype(np.uint16)
+    counts.flags.writeable = False
+    return counts
 
 
 def place_of(east_m: float, north_m: float) -> tuple[float, float]:
