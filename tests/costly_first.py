@@ -10,5 +10,6 @@ COSTLY_FIRST = (
     "log files", "import photos", "test_intrinsics", "test_router", "test_mavlink_session", "recorded logs",
     "test_spot_book", "test_sharing", "rotating recorder", "install", "test_publisher", "test_track_book",
     "test_gimbal_component", "test_supervision", "failing sensors", "the code's own text",
-    "test_gstreamer_helper", "test_makefile", "test_degraded_pictures", "benchmarks", "test_faults", "test_sliding_window", "test_old_sets",
+    "test_gstreamer_helper", "test_makefile", "test_degraded_pictures",
+    "benchmarks", "test_faults", "test_sliding_window", "test_old_sets",
 )  # fmt: skip
