@@ -35,6 +35,8 @@ ARRAYS = {
 }  # fmt: skip
 MAX_NAME, MAX_NOTE, MAX_WHO = 200, 10_000, 100
 MOST_FORMER = 20  # numbers of a pin that are remembered
+MAX_CLICKS, MAX_STAMPS = 1000, 4000  # of a pin; clicks that were taken out have stamps too
+Stamp = tuple[int, str]  # when (ns) and by whom a part of a pin was changed last
 
 
 class Category(Enum):
@@ -264,7 +266,8 @@ UNKNOWN_HEIGHT_SIGMA_M = 1e4  # of an entered position whose height's accuracy i
 class Pin:
     """A thing that was found. Servers that share it agree on its number, once each has received it.
 
-    `was`: other numbers that it had, by which somebody may have named it on the radio.
+    `was`: other numbers that it had, by which somebody may have named it on the radio. `stamps`: of parts that were
+    changed since it was made (`versions`).
     """
 
     id: str
@@ -279,6 +282,7 @@ class Pin:
     clicks: tuple[PinClick, ...] = ()
     is_deleted: bool = False
     was: tuple[int, ...] = ()
+    stamps: Mapping[str, Stamp] = field(default_factory=dict)
 
     def numbered(self, number: int, was: Iterable[int]) -> Pin:
         """The pin with a number, and others that it had next to those that are known."""
@@ -304,20 +308,22 @@ class Pin:
             "clicks": [click.to_dict() for click in self.clicks],
             "is_deleted": self.is_deleted,
             "was": list(self.was),
+            "stamps": {part: list(stamp) for part, stamp in sorted(self.stamps.items())},
         }
 
     @classmethod
     def from_dict(cls, content: object) -> Pin:
         """Raises InputError."""
         r = Reader(content, "pin")
-        clicks = tuple(PinClick.from_dict(click) for click in r.list("clicks", 1000))
+        clicks = tuple(PinClick.from_dict(click) for click in r.list("clicks", MAX_CLICKS))
         if len({click.id for click in clicks}) != len(clicks):
             raise InputError("pin: two of its clicks have the same id")
+        modified_unix_ns = r.whole("modified_unix_ns")
         return cls(
             r.identity("id"), r.whole("number"), r.text("name", MAX_NAME), r.text("note", MAX_NOTE),
             category_of(r.text("category", 40)), r.text("who", MAX_WHO), r.whole("created_unix_ns"),
-            r.whole("modified_unix_ns"), r.text("modified_by", MAX_WHO), clicks, r.flag("is_deleted"),
-            r.wholes("was", MOST_FORMER),
+            modified_unix_ns, r.text("modified_by", MAX_WHO), clicks, r.flag("is_deleted"),
+            r.wholes("was", MOST_FORMER), r.stamps("stamps", MAX_STAMPS, MAX_WHO, modified_unix_ns),
         )  # fmt: skip
 
 

@@ -16,6 +16,7 @@ from contract.errors import InputError
 Array = NDArray[np.float64]
 T = TypeVar("T")
 
+MOST_PART = 80  # characters of a part's name
 _IDENTITY = re.compile(r"[0-9A-Za-z_-]{1,64}")  # what may also be a file's name or a chunk of a zenoh key
 
 
@@ -102,6 +103,21 @@ class Reader:
         if not all(isinstance(n, int) and not isinstance(n, bool) and 0 < n < 2**63 for n in value):
             raise self._wrong(name, "whole numbers from 1")
         return tuple(value)
+
+    def stamps(self, name: str, most: int, characters: int, last_ns: int) -> dict[str, tuple[int, str]]:
+        """Times, whole numbers of at most `last_ns`, and names, by a word; none where there is no such object."""
+        value = {} if self.get(name) is None else self.get(name)
+        if not isinstance(value, dict) or len(value) > most:
+            raise self._wrong(name, f"an object of at most {most}")
+        out = {}
+        for part, stamp in value.items():
+            if not isinstance(stamp, list) or len(stamp) != 2 or len(part) > MOST_PART:
+                raise self._wrong(name, "of times with names")
+            r = Reader({"time": stamp[0], "who": stamp[1]}, f"{self._what}: {name}")
+            out[part] = r.whole("time"), r.text("who", characters)
+            if out[part][0] > last_ns:
+                raise self._wrong(name, "of times no later than the pin's last change")
+        return out
 
     def array(self, name: str, shape: tuple[int, ...], most: float, least: float = -math.inf) -> Array:
         """Nested lists of this shape, every number within bounds."""

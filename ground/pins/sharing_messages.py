@@ -16,7 +16,7 @@ from contract.errors import InputError
 from contract.topics import PINS
 from ground.pins.model import Pin
 from ground.pins.reading import Reader
-from ground.pins.store import order_of
+from ground.pins.versions import order_of
 
 VERSION = 1
 PREFIX = PINS

@@ -23,6 +23,7 @@ from ground.pins.model import Category, Pin, PinClick, Tie, check_texts, new_pin
 from ground.pins.postgresql import PinDatabase, is_url
 from ground.pins.tables import PinTables
 from ground.pins.ties import TieRefused, judge
+from ground.pins.versions import joined, order_of, stamped, turned_back
 
 MAX_CROP_BYTES = 2_000_000
 # A pin from another server may be at most this far ahead of now: clocks differ, but one far ahead would always win.
@@ -195,7 +196,7 @@ class PinStore:
                 return None
             self._file.bump("revision")
             stamp = max(self._now_ns(), held.modified_unix_ns + 1)
-            after = replace(_with_click(held, click), modified_unix_ns=stamp)
+            after = stamped(_with_click(held, click), held, stamp, held.modified_by)
             Pin.from_dict(after.to_dict())
             self._written(after)
         return after
@@ -246,7 +247,7 @@ class PinStore:
             taken: dict[str, Pin] = {}
             for pin in pins:
                 was = held.get(pin.id)
-                new = self._newer(Pin.from_dict(pin.to_dict()), was, revive=True)
+                new = self._with(Pin.from_dict(pin.to_dict()), was, revive=True)
                 if new is None:
                     continue
                 if was is None and (new.number in numbers or not 1 <= new.number < MAX_NUMBER):
@@ -262,7 +263,7 @@ class PinStore:
         return len(items)
 
     def merge_all(self, pins: Sequence[Pin], most: int) -> tuple[int, list[tuple[Pin, str]]]:
-        """Pins of another server, deleted ones too, in one transaction: the last writer wins, by time and then by name.
+        """Pins of another server, deleted ones too, in one transaction: of each part its last writer wins (`versions`).
 
         How many changed anything here; and what was refused, and why: a time far ahead of ours, or too many pins. Not
         undone by any user here. Pins as `Pin.from_dict` gives them: they are not checked again.
@@ -274,7 +275,7 @@ class PinStore:
             for pin in pins:
                 was = self._held(pin.id)
                 try:
-                    taken = self._newer(pin, was)
+                    taken = self._with(pin, was)
                 except InputError as error:
                     refused.append((pin, str(error)))
                     continue
@@ -286,7 +287,8 @@ class PinStore:
                 if not changed:
                     self._file.bump("revision")
                 held += was is None
-                self._written(self._numbered(pin.number, taken, was))
+                is_newer = was is None or order_of(pin) > order_of(was)
+                self._written(self._numbered(pin.number if is_newer else taken.number, taken, was))
                 changed += 1
         return changed, refused
 
@@ -384,56 +386,52 @@ class PinStore:
         return str(what)
 
     def _turn_pin(self, key: str, now: str | None, then: str | None, what: str, author: str) -> None:
-        held = self._held(key)
-        expected = None if now is None else Pin.from_dict(self._file.json(now))
-        is_there = held is not None and not held.is_deleted
-        if (expected is None and is_there) or (
-            expected is not None and (held is None or _content(held) != _content(expected))
-        ):
-            assert held is not None
+        held, was, target = (
+            self._held(key),
+            *(None if doc is None else Pin.from_dict(self._file.json(doc)) for doc in (now, then)),
+        )
+        assert held is not None
+        stamp = max(self._now_ns(), held.modified_unix_ns + 1)
+        after: Pin | None
+        if target is None:  # it was not there: what was added to it since would go with it
+            is_same = was is not None and _content(held) == _content(was)
+            after = replace(held, is_deleted=True) if is_same else None
+        elif was is None:
+            after = replace(target, number=held.number, was=held.was) if held.is_deleted else None
+        else:
+            after = turned_back(held, was, target)
+        if after is None:
             raise InputError(
                 f"cannot undo {what!r}: pin {held.number} was changed since by {held.modified_by or 'others'}"
             )
-        target = held if then is None else Pin.from_dict(self._file.json(then))
-        assert target is not None and held is not None
-        is_deleted = then is None or target.is_deleted
-        stamp = max(self._now_ns(), held.modified_unix_ns + 1)
-        self._written(
-            replace(
-                target,
-                number=held.number,
-                was=held.was,
-                is_deleted=is_deleted,
-                modified_unix_ns=stamp,
-                modified_by=author,
-            )
-        )
+        self._written(stamped(after, held, stamp, author))
 
     def _modified(self, pin_id: str, who: str, did: str, change_of: Callable[[Pin], Pin]) -> Pin:
         with self._changing(who) as change:
             before = self.pin(pin_id)
             stamp = max(self._now_ns(), before.modified_unix_ns + 1)  # a later change is later by any clock
-            after = replace(change_of(before), modified_unix_ns=stamp, modified_by=who)
+            after = stamped(change_of(before), before, stamp, who)
             Pin.from_dict(after.to_dict())
             change(f"pin {after.number} {did}", [self._written(after)])
         return after
 
-    def _newer(self, pin: Pin, held: Pin | None, *, revive: bool = False) -> Pin | None:
-        """A pin from outside as it is to be written over `held`, ours of that id; None if ours is as new.
+    def _with(self, pin: Pin, held: Pin | None, *, revive: bool = False) -> Pin | None:
+        """A pin from outside joined with `held`, ours of that id, to be written; None if that changes nothing.
 
         It keeps our number; of a pin that is new here the number may be taken.
         """
         if pin.modified_unix_ns > self._now_ns() + MAX_AHEAD_NS:
             if revive:  # whoever imports a file wants its pins, whatever clock wrote it; over ours it cannot be judged
-                return replace(pin, modified_unix_ns=self._now_ns()) if held is None else None
+                return replace(pin, modified_unix_ns=self._now_ns(), stamps={}) if held is None else None
             raise InputError(f"pin {pin.number} by {pin.modified_by!r}: stamped more than a day ahead of this clock")
-        if revive and held is not None and held.is_deleted and not pin.is_deleted:
+        if held is None:
+            return pin
+        if revive and held.is_deleted and not pin.is_deleted:
             # A user who imports a file wants what is in it, also what was deleted here since.
-            ours = pin.numbered(held.number, held.was)
-            return replace(ours, modified_unix_ns=max(self._now_ns(), held.modified_unix_ns + 1))
-        if held is not None and order_of(pin) <= order_of(held):
-            return None
-        return pin if held is None else pin.numbered(held.number, held.was)
+            stamp = max(self._now_ns(), held.modified_unix_ns + 1)
+            return stamped(pin.numbered(held.number, held.was), held, stamp, pin.modified_by)
+        both = joined(held, pin)
+        return None if order_of(both) == order_of(held) else both
 
     def _held(self, pin_id: str) -> Pin | None:
         rows = self._file.rows("SELECT doc FROM pins WHERE id = ?", pin_id)
@@ -545,16 +543,9 @@ def _text(content: dict[str, Any]) -> str:
 def _content(pin: Pin) -> dict[str, Any]:
     """The content of a pin that a user sees, without the user who changed it last."""
     out = pin.to_dict()
-    for name in ("modified_unix_ns", "modified_by", "number", "was"):
+    for name in ("modified_unix_ns", "modified_by", "number", "was", "stamps"):
         del out[name]
     return out
-
-
-def order_of(pin: Pin) -> tuple[int, str, str]:
-    """The key that orders versions of a pin by time: the same on every server."""
-    plain = replace(pin, number=0).to_dict()
-    del plain["was"]  # as the number: both are a change of the pin, with a time of its own, where servers agree on them
-    return pin.modified_unix_ns, pin.modified_by, _text(plain)
 
 
 def _made(pin: Pin) -> tuple[int, str]:

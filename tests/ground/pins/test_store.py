@@ -20,6 +20,7 @@ from ground.pins.model import Category, ClickErrors, Pin, PinClick
 from ground.pins.places import Places
 from ground.pins.store import PinStore
 from ground.pins.ties import TieRefused
+from ground.pins.versions import order_of
 from tests import postgres
 from tests.ground.pins.flights import sightings
 from tests.ground.pins.test_fusion import TARGET
@@ -294,6 +295,76 @@ def test_servers_that_were_apart_agree_on_every_number(tmp_path: Path, seed: int
         for pin in store.pins():
             assert made[pin.id] in (pin.number, *pin.was) and pin.number not in pin.was
         store.close()
+
+
+def test_what_two_servers_changed_apart_of_one_pin_is_all_kept(tmp_path: Path) -> None:
+    """The second click of one team and the "sheep" of the other: whichever came last was all that was left."""
+    with PinStore(tmp_path / "a.sqlite") as a, PinStore(tmp_path / "b.sqlite") as b:
+        pin = a.add([typed()], name="figure", note="by the hut", who="ann")
+        exchange([a, b])
+        a.add_click(pin.id, typed(-35.1), who="ann")
+        b.edit(pin.id, name="IGNORE: sheep", who="bob")
+        more = b.add_click(pin.id, typed(-35.2), who="bob").clicks[-1]
+        a.edit(pin.id, category=Category.PERSON, who="ann")
+        exchange([a, b])
+        for held in (a.pin(pin.id), b.pin(pin.id)):
+            assert (held.name, held.note, held.category) == ("IGNORE: sheep", "by the hut", Category.PERSON)
+            assert sorted(click.lat_deg for click in held.clicks) == [-35.2, -35.1, -35.0]
+        # What is taken out stays out, also where another server changes the pin meanwhile.
+        a.remove_click(pin.id, more.id, who="ann")
+        b.edit(pin.id, note="at the ford", who="bob")
+        exchange([a, b])
+        assert all(more.id not in {click.id for click in store.pin(pin.id).clicks} for store in (a, b))
+        assert a.pin(pin.id).note == b.pin(pin.id).note == "at the ford"
+        # A change that is undone is a later one.
+        b.undo(who="bob")
+        exchange([a, b])
+        assert a.pin(pin.id).note == b.pin(pin.id).note == "by the hut"
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_servers_that_were_apart_hold_the_same_pins_and_lose_no_click(tmp_path: Path, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    stores = [PinStore(tmp_path / f"{k}.sqlite") for k in range(3)]
+    pins = [stores[0].add([typed()], who="ann").id for _ in range(3)]
+    exchange(stores)
+    added: dict[str, set[str]] = {pin: set() for pin in pins}
+    taken_out, deleted = set[str](), set[str]()
+    for _ in range(5):
+        for who, store in enumerate(stores):
+            for held in store.pins():
+                kind = rng.integers(0, 6)
+                if kind == 0:
+                    added[held.id].add(store.add_click(held.id, typed(rng.uniform(-40, -30))).clicks[-1].id)
+                elif kind == 1 and len(held.clicks) > 1:
+                    taken_out.add(held.clicks[-1].id)
+                    store.remove_click(held.id, held.clicks[-1].id)
+                elif kind == 2:
+                    store.edit(held.id, name=f"{rng.integers(100)} by {who}", who=str(who))
+                elif kind == 3 and rng.random() < 0.1:
+                    deleted.add(held.id)
+                    store.delete(held.id)
+        rng.shuffle(stores)
+        exchange(stores[: int(rng.integers(2, 4))])
+    exchange(stores)
+    versions = [{pin.id: order_of(pin) for pin in store.everything()} for store in stores]
+    assert versions[0] == versions[1] == versions[2] and len(versions[0]) == len(pins)
+    for pin in stores[0].everything():
+        clicks = {click.id for click in pin.clicks}
+        assert clicks >= added[pin.id] - taken_out and not clicks & taken_out
+        assert not pin.is_deleted or pin.id in deleted
+    for store in stores:
+        store.close()
+
+
+def test_a_stamp_later_than_the_pin_itself_is_refused() -> None:
+    """It would win over every change to come."""
+    content = PinClick.entered(-35.0, 149.0)
+    pin = Pin("a", 1, "", "", Category.POI, "ann", 10, 20, "ann", (content,), stamps={"name": (20, "bob")})
+    assert Pin.from_dict(pin.to_dict()).stamps == {"name": (20, "bob")}
+    for wrong in ({"name": [21, "bob"]}, {"name": [5]}, {"name": ["5", "bob"]}, [], {"n" * 81: [5, "bob"]}):
+        with pytest.raises(InputError, match="stamps"):
+            Pin.from_dict({**pin.to_dict(), "stamps": wrong})
 
 
 def test_the_pin_that_was_made_first_keeps_its_number_and_the_other_states_which_it_had(path: Path | str) -> None:
