@@ -64,11 +64,14 @@ def test_a_daemon_flies_answers_for_itself_and_ends_whole(tmp_path: Path, capsys
             return (code, capsys.readouterr().out.splitlines()[:1]) == (0, ["state      ok"])
 
         assert eventually(is_reported)
-        doctor = pc_onboard("doctor", "--config", plane.config, "--json")
-        found = lines_of(doctor)
-        # This computer's own disk and temperature are what they are; the flight is well.
-        assert {name for name, good in found.items() if not good} <= {"disk", "processor"}, doctor.stdout
-        assert json.loads(doctor.stdout)["daemon"] is True
+
+        def is_well() -> bool:
+            """This computer's own disk and temperature are what they are, and it may be busy for a moment."""
+            doctor = pc_onboard("doctor", "--config", plane.config, "--json")
+            bad = {name for name, good in lines_of(doctor).items() if not good}
+            return json.loads(doctor.stdout)["daemon"] is True and bad <= {"disk", "processor"}
+
+        assert eventually(is_well)
         plane.sleep_until(max(12.0, plane.now_s + 6.0))
         plane.signal(signal.SIGTERM)
         assert plane.ended() == 0  # within TimeoutStopSec, and nothing was left behind: see the log below
