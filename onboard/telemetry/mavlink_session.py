@@ -5,7 +5,7 @@ The vehicle is the one that `vehicle_choice` gives: what others send on the same
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import deque
 from dataclasses import replace
 from typing import Any
 
@@ -44,7 +44,7 @@ class Autopilot:
         self.aircraft = AircraftReports()
         self.reboots = 0
         self._converter = MessageToEvent(Sources())
-        self._seen: Counter[str] = Counter()  # since the autopilot's boot
+        self._seen_ns: dict[str, int] = {}  # the last arrival of each message since the autopilot's boot
         self._first_ns: int | None = None
         self._received_ns: int | None = None
         self._position_ns: int | None = None
@@ -97,9 +97,11 @@ class Autopilot:
         """Note that the autopilot has sent this message; after a long silence all rates are requested again."""
         if self._received_ns is not None and arrival_ns - self._received_ns > RETURN_NS:
             self.rates.restart()
+            self._first_ns = None  # the better of two messages may come again a moment later than the other
+            self._seen_ns.clear()
         self._received_ns = arrival_ns
         self._first_ns = self._first_ns or arrival_ns
-        self._seen[message.get_type()] += 1
+        self._seen_ns[message.get_type()] = arrival_ns
         self.rates.seen(message.get_type())
 
     def _is_for_us(self, message: Any) -> bool:
@@ -138,25 +140,26 @@ class Autopilot:
         self.reboots += 1
         self.rates.restart()
         self._converter = MessageToEvent(self._converter.sources)
-        self._seen.clear()
+        self._seen_ns.clear()
         self._pending.clear()
         self._first_ns, self._newest_boot_ns = arrival_ns, 0
 
     def _best_sources(self, now_ns: int) -> Sources:
         """The filter's position and Euler angles, unless only the other kind has come for a while."""
         sources = self._converter.sources
-        waited = self._first_ns is not None and now_ns - self._first_ns > SUBSTITUTE_NS
-        position, attitude = sources.position, sources.attitude
-        if self._seen["GLOBAL_POSITION_INT"]:
-            position = "GLOBAL_POSITION_INT"
-        elif waited and self._seen["GPS_RAW_INT"]:
-            position = "GPS_RAW_INT"
-        if self._seen["ATTITUDE"]:
-            attitude = "ATTITUDE"
-        elif waited and self._seen["ATTITUDE_QUATERNION"]:
-            attitude = "ATTITUDE_QUATERNION"
+        position = self._better("GLOBAL_POSITION_INT", "GPS_RAW_INT", sources.position, now_ns)
+        attitude = self._better("ATTITUDE", "ATTITUDE_QUATERNION", sources.attitude, now_ns)
         unchanged = (position, attitude) == (sources.position, sources.attitude)
         return sources if unchanged else Sources(position, attitude)
+
+    def _better(self, best: str, other: str, taken: str, now_ns: int) -> str:
+        """The message to take of two: the best one while it comes, and what is `taken` until it is clear that it does
+        not.
+        """
+        first_ns = now_ns if self._first_ns is None else self._first_ns
+        if now_ns - self._seen_ns.get(best, first_ns) > SUBSTITUTE_NS:
+            return other if other in self._seen_ns else taken
+        return best if best in self._seen_ns else taken
 
     def is_received(self, now_ns: int) -> bool:
         """Return whether the vehicle's autopilot has been received recently."""

@@ -11,6 +11,7 @@ from contract.vehicle_status import MAX_MODE
 from onboard.clocks.timesync import NS_PER_S
 from onboard.config.schema import parse_config
 from onboard.events.source import AircraftReport, Severity, SourceStatus, State
+from onboard.events.types import NavEvent, PositionFix
 from onboard.telemetry.flight_modes import mode_of
 from onboard.telemetry.mavlink_session import Autopilot
 from tests.onboard.clocks.test_clock_drift import EPOCH, MS, Clocks
@@ -28,6 +29,8 @@ class Simulated:
         self.clocks = Clocks(rate, changes)
         self.tick = 0
         self.sent: list[Any] = []
+        self.events: list[NavEvent] = []  # of what was received
+        self.has_filter = True  # it sends the position of its filter, and not its receiver's alone
         self.other_clock_s: float | None = 0.0  # how far ahead the clock is that answers TIMESYNC; None: it does not
 
     @property
@@ -39,7 +42,7 @@ class Simulated:
 
     def receive(self, message: Any, late_ns: int = 2 * MS) -> None:
         message._header = mavlink.MAVLink_header(message.id, srcSystem=1, srcComponent=1)
-        self.autopilot.receive(message, self.now_ns + late_ns)
+        self.events += self.autopilot.receive(message, self.now_ns + late_ns)
 
     def fly(self, seconds: float) -> SourceStatus:
         for _ in range(round(seconds * NS_PER_S / STEP_NS)):
@@ -47,7 +50,8 @@ class Simulated:
             if self.tick % 20 == 0:
                 self.receive(mavlink.MAVLink_heartbeat_message(1, self.kind, 0, 0, mavlink.MAV_STATE_ACTIVE, 3))
             self.receive(mavlink.MAVLink_attitude_message(boot_ms, 0.1, 0.0, 0.0, 0.0, 0.0, 0.1))
-            self.receive(mavlink.MAVLink_global_position_int_message(boot_ms, 4 * 10**8, 10**8, 0, 0, 0, 0, 0, 0))
+            if self.has_filter:
+                self.receive(mavlink.MAVLink_global_position_int_message(boot_ms, 4 * 10**8, 10**8, 0, 0, 0, 0, 0, 0))
             self.receive(mavlink.MAVLink_gps_raw_int_message(boot_ms * 1000, 3, 4 * 10**8, 10**8, 0, 100, 100, 0, 0, 9))
             for message in self.autopilot.due(self.now_ns):
                 self.sent.append(message)
@@ -64,6 +68,24 @@ class Simulated:
 
     def of(self, name: str) -> list[Any]:
         return [message for message in self.sent if message.get_type() == name]
+
+
+def test_the_receiver_s_position_is_taken_where_the_filter_s_has_stopped_and_as_long_as_it_has() -> None:
+    """A filter that had sent its position once was waited for all flight long."""
+    link = Simulated()
+
+    def positions(seconds: float) -> int:
+        link.events.clear()
+        link.fly(seconds)
+        return sum(isinstance(event, PositionFix) for event in link.events)
+
+    assert positions(10.0) > 150
+    link.has_filter = False
+    assert positions(4.0) <= 1 and positions(10.0) > 150
+    link.has_filter = True
+    assert positions(10.0) == pytest.approx(200, abs=3)  # one of each moment, not two
+    link.tick += 20 * 8  # the whole link is cut for 8 s
+    assert positions(1.0) == pytest.approx(20, abs=2)
 
 
 def test_what_autopilots_pass_on_to_every_radio_is_next_to_nothing_once_the_clock_is_known() -> None:
