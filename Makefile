@@ -96,7 +96,7 @@ install:
 	@for program in pc-ground pc-onboard; do ln -sf "$(HOME_VENV)/bin/$$program" "$(HOME_BIN)/$$program"; done
 	@"$(HOME_BIN)/pc-ground" --version
 	@case ":$$PATH:" in *":$(HOME_BIN):"*) ;; *) echo "$(HOME_BIN) is not in your PATH: log in again, or  export PATH=\"$(HOME_BIN):\$$PATH\"" ;; esac
-	@test -f "$$("$(HOME_VENV)/bin/python" -c 'import ground.web.command as c; print(c.STATIC)')/index.html" \
+	@test -f "$$("$(HOME_VENV)/bin/python" -I -c 'import ground.web.startup as s; print(s.STATIC)')/index.html" \
 		|| echo "without the page of pc-ground web: npm or its packages were not to be had; with Node installed, make install again"
 
 uninstall:

@@ -3,6 +3,7 @@
 import os
 import re
 import subprocess
+import sys
 import tomllib
 from functools import cache
 from pathlib import Path
@@ -62,6 +63,17 @@ def test_only_what_measures_real_time_is_tried_again_and_each_use_is_listed() ->
     tried_again = [line for line in runs if "--reruns" in line]
     assert len(runs) >= 3 and len(tried_again) == 1
     assert "and wall_clock" in tried_again[0] and "-rR" in tried_again[0]
+
+
+def test_the_python_lines_that_look_at_our_own_modules_run() -> None:
+    """`make install` asks an installed module where the page is; where that line fails it states that there is none."""
+    lines = re.findall(r"bin/python\" (-\S+ )?-c '(import ground[^']*)'", (ROOT / "Makefile").read_text())
+    assert lines
+    for options, line in lines:
+        assert options == "-I ", "the folder that it runs in would stand in for what was installed"
+        done = subprocess.run([sys.executable, "-I", "-c", line], cwd=ROOT, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        assert Path(done.stdout.strip()) == ROOT / "ground" / "web" / "static"
 
 
 def test_the_long_tests_have_a_run_of_their_own_that_needs_none_of_real_time(tmp_path: Path) -> None:
