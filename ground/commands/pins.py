@@ -266,10 +266,13 @@ def _import(store: PinStore, args: argparse.Namespace) -> int:
     new = without_known(found.pins, store.pins(), Places(store))
     taken = store.bring_in(new, who=args.who, crops=found.crops)
     known = len(found.pins) - taken
-    notes = [f"{known} were here already"] if known else []
-    notes += [f"{found.left_out} things that are no points were left out"] if found.left_out else []
+    notes = [f"{known} {'was' if known == 1 else 'were'} here already"] if known else []
+    things = (
+        "1 thing that is no point was" if found.left_out == 1 else f"{found.left_out} things that are no points were"
+    )
+    notes += [f"{things} left out"] if found.left_out else []
     notes += [f"{len(found.bad)} could not be read"] if found.bad else []
-    print(f"{taken} pins imported{''.join(f'; {note}' for note in notes)}")
+    print(f"{taken} {'pin' if taken == 1 else 'pins'} imported{''.join(f'; {note}' for note in notes)}")
     for line in found.bad[:MOST_LISTED]:
         print(f"not read: {one_line(line)}", file=sys.stderr)
     if len(found.bad) > MOST_LISTED:

@@ -69,7 +69,8 @@ def run(args: argparse.Namespace) -> int:
     if received.mean_person_found is not None:
         print(f"in the mean of {received.pictures} pictures {person_text(received.mean_person_found)}", file=sys.stderr)
     if not found:
-        print(f"no hot spot found; pictures searched: {received.pictures}", file=sys.stderr)
+        why = "" if received.pictures else "; none is without a thermal camera (docs/hot-spots.md)"
+        print(f"no hot spot found; pictures searched: {received.pictures}{why}", file=sys.stderr)
         return REFUSED
     marks = [Mark.of_found(thing) for thing in found]
     for path in args.out:

@@ -32,7 +32,7 @@ class Imported:
             self.pins.append(make())
         except (InputError, ValueError, OverflowError, IndexError) as error:
             why = _NO_NUMBER.sub(r"\1 is no number", " ".join(str(error).split()))
-            self.bad.append(f"{what}: {why[:MAX_REASON]}")
+            self.bad.append(f"{what}: {why.removeprefix('click: ')[:MAX_REASON]}")
 
     def checked(self) -> Imported:
         """Itself. Raises InputError if everything in the file that should be a point is bad."""

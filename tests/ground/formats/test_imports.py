@@ -134,7 +134,7 @@ def of_features(*coordinates: str) -> bytes:
         ("a.kml", KMZ_TEXT.format(BAD_PLACE.format("8,47,9 8,48,9")).encode(), "placemark 'bad': its coordinates are"),
         ("a.kmz", kmz(KMZ_TEXT.format(BAD_PLACE.format(""))), "placemark 'bad': no coordinates"),
         ("a.gpx", b'<gpx><wpt lat="nan" lon="8"><name>bad</name></wpt><wpt lat="47.3" lon="8.6"><name>B</name></wpt>'
-         b"</gpx>", "waypoint 'bad'"),
+         b"</gpx>", "waypoint 'bad': lat_deg = "),
         ("a.geojson", of_features("[8.6,47.3]", f"[{10**400},47]"), "feature 1: metres"),
         ("a.geojson", of_features("[8.6,47.3]", f"[8,47,{10**400}]"), "feature 1"),
         ("a.geojson", of_features("[8.6,47.3]", "[1e999,47]"), "feature 1"),
