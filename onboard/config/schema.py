@@ -467,18 +467,22 @@ def _first_complaint(error: ValidationError) -> str:
 
 
 def _unknown_key(key: str, value: object) -> str:
-    known, (section, _, name) = key_table(), key.partition(".")
+    known, sections = key_table(), [name for name, _ in _sections()]
+    section, _, name = key.partition(".")
+    here = {path.removeprefix(f"{section}."): path for path in known if path.startswith(f"{section}.")}
     if isinstance(value, dict):
-        near = near_word(key, [section for section, _ in _sections()])
-    else:  # the right key elsewhere; or one nearly so in its own section, then in any
-        here = {path.removeprefix(f"{section}."): path for path in known if path.startswith(f"{section}.")}
+        near = near_word(key, sections)
+    else:  # the right key elsewhere; or one nearly so in its own section, or in any where that section is not known
         anywhere = {path.split(".", 1)[1]: path for path in known}
-        nearly = (names[found] for names in (here, anywhere) if (found := near_word(name or key, names)))
-        near = anywhere.get(name or key) or next(nearly, None)
+        among = here or anywhere
+        found = near_word(name or key, among)
+        near = anywhere.get(name or key) or (among[found] if found else None)
     kind = "section" if isinstance(value, dict) else "key"
-    return f"unknown {kind} '{key}'" + (
-        f"; known sections: {', '.join(n for n, _ in _sections())}" if near is None else f"; did you mean '{near}'?"
-    )
+    if near is not None:
+        return f"unknown {kind} '{key}'; did you mean '{near}'?"
+    is_of_section = here and not isinstance(value, dict)
+    listed = f"keys of [{section}]: {', '.join(here)}" if is_of_section else f"known sections: {', '.join(sections)}"
+    return f"unknown {kind} '{key}'; {listed}"
 
 
 def _bounds(info: FieldInfo) -> tuple[float, float] | None:
