@@ -22,6 +22,7 @@ from onboard.camera.discovery import device_paths
 from onboard.camera.helper_launch import libcamera_names
 from onboard.camera.known_lenses import GIVEN_SIGMA, Lens, first_camera_file, known_lens, named_lens
 from onboard.camera.pixel_formats import DECODERS
+from onboard.camera.playback import PREFIX
 from onboard.camera.v4l2_device import V4l2Device
 from onboard.camera_files.formats import load_camera_file
 from onboard.commands import doctor
@@ -115,7 +116,7 @@ def run(arguments: argparse.Namespace, terminal: Terminal | None = None, around:
     keys = {
         "vehicle": {"id": arguments.vehicle},
         "mount": dict(zip(("roll_deg", "pitch_deg", "yaw_deg"), mount, strict=True)),
-        "camera": {"device": camera.device, "file": str(camera_file)},
+        "camera": {"device": _from_anywhere(camera.device), "file": str(camera_file)},
         "telemetry": {"url": telemetry, "system": system, **(SLOW_RATES if is_slow(telemetry) else {})},
         "link": radio,
         "recording": {"pictures": "jpeg"},  # the first flight's show how the camera sits: the step after this one
@@ -209,6 +210,11 @@ def _camera(arguments: argparse.Namespace, terminal: Terminal | None, around: Su
         return found[at]
     device = terminal.ask("camera.device", _not_empty)
     return Found(device, device)
+
+
+def _from_anywhere(device: str) -> str:
+    """A camera.device whose folder is found from any working directory: the service starts in another than this."""
+    return PREFIX + str(Path(device.removeprefix(PREFIX)).resolve()) if device.startswith(PREFIX) else device
 
 
 def _camera_file(

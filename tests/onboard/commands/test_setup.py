@@ -114,6 +114,18 @@ def test_flags_alone_say_everything_and_nothing_is_looked_for(out: Path, tmp_pat
     assert not around.listened and out.stat().st_mode & 0o077 == 0  # it holds a password
 
 
+def test_a_folder_of_pictures_is_found_from_wherever_the_daemon_starts(
+    out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "frames").mkdir()
+    (tmp_path / "mine.json").write_text(Camera.from_field_of_view(640, 480, 50.0).to_json())
+    monkeypatch.chdir(tmp_path)
+    words = ["--yes", "--camera", "replay:frames", "--camera-file", "mine.json", "--mount", "0,-90,0"]
+    words += ["--telemetry", "serial:/dev/ttyS1:57600", "--system", "4"]
+    setup.run(arguments(out, *words), None, Around([], []).around)
+    assert load_config_files(out).camera.device == f"replay:{tmp_path.resolve() / 'frames'}"
+
+
 ADDRESS = "rtsp://me:hunter2@10.0.0.2/live"
 
 
