@@ -40,7 +40,7 @@ class LinkRecorder:
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise InputError(f"--to {folder}: {error.strerror}") from error
+            raise InputError(f"recording into {folder}: {error.strerror}") from error
         self._lock = threading.Lock()
         self._files: dict[tuple[str, int], _File] = {}
         self._current: dict[str, int] = {}  # each vehicle's session, by its newest set or status
@@ -65,7 +65,7 @@ class LinkRecorder:
             except (ValueError, WireError) as error:
                 self._dropped.failed(error)
             except OSError as error:
-                self._failure = InputError(f"--to {self._folder}: {error.strerror}")
+                self._failure = InputError(f"recording into {self._folder}: {error.strerror}")
 
     def _take(self, key: str, payload: bytes) -> None:
         came_ns = time.time_ns()
