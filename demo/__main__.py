@@ -14,7 +14,7 @@ from contract.errors import PointclickError
 from contract.geodesy import LocalFrame
 from demo.clicks import Clicked, Spot, choose_spots
 from demo.map import draw_overview
-from demo.processes import Aircraft
+from demo.processes import Aircraft, program
 from demo.tracks import draw_tracks, follow
 from ground.recording import Recording
 from simulation.flight import DescribedSpec, RecordedSpec
@@ -90,7 +90,9 @@ def _run(out: Path, seconds: float, autopilot: str) -> int:
         *draw_overview(truth, spec.texture, Recording(recording), tracked, spots, clicked, out),
     ]
     _say("Pictures to look at:\n" + "\n".join(f"  {picture}" for picture in pictures))
-    _say(f"The flight on a page, to click its pictures:  make demo-web\n  pc-ground web --from {recording}")
+    _say(
+        f"The flight on a page, to click its pictures:  make demo-web\n  {program('pc-ground')} web --from {recording}"
+    )
     answered = sum(c.error_m is not None for c in clicked)
     print(f"\n{answered} of {len(clicked)} clicks answered, {time.monotonic() - began:.0f} s in all")
     return 0 if answered == len(clicked) else 1
