@@ -79,6 +79,7 @@ class Warped:
 
     @classmethod
     def at(cls, patch: Patch, views: Sequence[View], w: float, slope: Array) -> Warped:
+        """Take the patch from all views at an inverse depth (1/m) and a slope of its surface."""
         each = [shifted(patch, view, w, slope) for view in views]
         by_depth = [by_inverse_depth(patch, view, w) for view in views]
         return cls(np.stack([values for values, _ in each]), np.stack([by for _, by in each]), np.stack(by_depth))

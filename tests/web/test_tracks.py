@@ -268,7 +268,8 @@ def test_what_was_clicked_is_followed_shown_and_ended(flying: Callable[..., tupl
     unseen = {"state": TrackState.COASTING, "unseen": Unseen.HIDDEN}
     fly(anna, flight, 7, report_at(7, 360.0, 300.0, **unseen))
     page.wait_for_selector("[data-testid=track-box][data-phase=coasting]")
-    assert anna.by("track-words").inner_text().startswith("1  coasting (hidden): 1.4")
+    # On a busy machine the look may be some time ago by the time the page is read.
+    assert re.match(r"1  coasting \(hidden\)(, seen \d\.\d s ago)?: 1\.4", anna.by("track-words").inner_text())
     fly(anna, flight, 8, report_at(8, 360.0, 300.0, course=REST))
     page.wait_for_function("() => document.querySelector('[data-testid=track-words]').textContent.includes('at rest')")
     assert anna.by("track-words").inner_text() == "1  followed: at rest (+-0.05 m/s)"
