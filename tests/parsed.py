@@ -1,4 +1,4 @@
-"""What the tests of the code's own text read in a module, each parsed once."""
+"""The modules that tests of the code's own text read, each parsed once."""
 
 import ast
 from functools import cache

@@ -83,7 +83,7 @@ def _part_of(word: str, before: str) -> tuple[str, str]:
 
 
 def _cells_of(parts: Mapping[str, int], cells: Sequence[str]) -> dict[str, str]:
-    """What a row states of one half, without what is empty."""
+    """The parts of one half that a row states, without what is empty."""
     return {part: cells[k].strip() for part, k in parts.items() if k < len(cells) and cells[k].strip()}
 
 

@@ -29,7 +29,8 @@ def stamped(pin: Pin, before: Pin, at_unix_ns: int, who: str) -> Pin:
 def joined(one: Pin, other: Pin) -> Pin:
     """Two versions of a pin as one; number and former numbers are the first's, and so is the order of its clicks.
 
-    Deleted is deleted, unless the pin was changed after that. Raises InputError for more clicks than a pin holds.
+    Deleted is deleted, unless the pin was changed after that; and where each of two took out what the other left, the
+    later one's clicks stay. Raises InputError for more clicks than a pin holds.
     """
     older, newer = sorted((one, other), key=order_of)
     parts = {version: _parts(version) for version in (older, newer)}
@@ -41,6 +42,7 @@ def joined(one: Pin, other: Pin) -> Pin:
             stamps[part] = best.stamps[part]
         taken[part] = _value(best, part)
     clicks = tuple(click for part, click in taken.items() if part not in TEXTS and click is not None)
+    clicks = clicks or newer.clicks
     if len(clicks) > MAX_CLICKS or len(stamps) > MAX_STAMPS:
         raise InputError(f"pin {one.number}: {len(clicks)} clicks; at most {MAX_CLICKS} are kept")
     texts = {part: taken[part] for part in TEXTS}
@@ -49,7 +51,7 @@ def joined(one: Pin, other: Pin) -> Pin:
 
 def turned_back(held: Pin, now: Pin, then: Pin) -> Pin | None:
     """The pin as it is held, with what changed from `then` to `now` as it was; None if one of these parts has been
-    changed again since, or the pin deleted or brought back.
+    changed again since, or the pin deleted or brought back, or if no click would be left.
     """
     here, after, before = _parts(held), _parts(now), _parts(then)
     changed = {part for part in (*after, *before) if after.get(part) != before.get(part)}
@@ -58,6 +60,8 @@ def turned_back(held: Pin, now: Pin, then: Pin) -> Pin | None:
     parts = dict.fromkeys((*before, *here))
     found = {part: _value(then if part in changed else held, part) for part in parts}
     clicks = tuple(click for part, click in found.items() if part not in TEXTS and click is not None)
+    if not clicks:
+        return None
     return replace(held, clicks=clicks, is_deleted=then.is_deleted, **{part: found[part] for part in TEXTS})
 
 
@@ -81,5 +85,5 @@ def _value(pin: Pin, part: str) -> Any:
 
 
 def _stamp(pin: Pin, part: str) -> Stamp:
-    """When and by whom a part was changed last: it may be as old as the pin."""
+    """The time and the author of a part's last change: it may be as old as the pin."""
     return pin.stamps.get(part, (pin.created_unix_ns, pin.who))

@@ -322,6 +322,24 @@ def test_what_two_servers_changed_apart_of_one_pin_is_all_kept(tmp_path: Path) -
         assert a.pin(pin.id).note == b.pin(pin.id).note == "by the hut"
 
 
+def test_a_pin_keeps_a_click_whatever_two_servers_take_out(tmp_path: Path) -> None:
+    with PinStore(tmp_path / "a.sqlite") as a, PinStore(tmp_path / "b.sqlite") as b:
+        pin = a.add([typed()], who="ann")
+        second = a.add_click(pin.id, typed(-35.1), who="ann").clicks[1]
+        exchange([a, b])
+        a.remove_click(pin.id, pin.clicks[0].id, who="ann")
+        b.remove_click(pin.id, second.id, who="bob")
+        exchange([a, b])
+        assert [click.id for click in a.pin(pin.id).clicks] == [click.id for click in b.pin(pin.id).clicks]
+        assert len(a.pin(pin.id).clicks) == 1
+        # Nor does undoing take out the only one.
+        third = a.add_click(pin.id, typed(-35.2), who="ann").clicks[1]
+        a.remove_click(pin.id, a.pin(pin.id).clicks[0].id, who="bob")
+        with pytest.raises(InputError, match="changed since by bob"):
+            a.undo(who="ann")
+        assert [click.id for click in a.pin(pin.id).clicks] == [third.id]
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_servers_that_were_apart_hold_the_same_pins_and_lose_no_click(tmp_path: Path, seed: int) -> None:
     rng = np.random.default_rng(seed)

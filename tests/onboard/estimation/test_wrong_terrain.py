@@ -75,7 +75,7 @@ def test_a_model_that_is_right_is_used(request_and_ground: tuple[Request, float]
 
 
 def answered(sets: dict[int, FeatureSet], flight: SampledFlight) -> list[float]:
-    """How far each answer is off, in radii of its 90 % ellipse."""
+    """The error of each answer, in radii of its 90 % ellipse."""
     ellipses = []
     for frame, found in sets.items():
         for at, place in zip(CLICKS, flight.ground_points(frame, CLICKS), strict=True):
