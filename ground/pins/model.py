@@ -7,6 +7,7 @@ was, and how the session's slow errors act on it (docs/mathematics-pins.md).
 from __future__ import annotations
 
 import base64
+import json
 import time
 import uuid
 from collections.abc import Iterable, Mapping
@@ -383,6 +384,11 @@ class Tie:
             sigma_height, r.text("name", MAX_NAME), r.text("who", MAX_WHO), r.whole("created_unix_ns"),
             r.identity("id"),
         )  # fmt: skip
+
+
+def to_text(content: Mapping[str, Any]) -> str:
+    """The content of a pin or a tie as it is stored, shared and compared. Raises ValueError for what is not finite."""
+    return json.dumps(content, separators=(",", ":"), allow_nan=False)
 
 
 def category_of(word: str) -> Category:

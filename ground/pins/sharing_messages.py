@@ -14,7 +14,7 @@ from typing import Any
 
 from contract.errors import InputError
 from contract.topics import PINS
-from ground.pins.model import Pin
+from ground.pins.model import Pin, to_text
 from ground.pins.reading import Reader
 from ground.pins.versions import order_of
 
@@ -72,7 +72,7 @@ def announcement_from_bytes(payload: bytes) -> Announcement:
 
 def pin_to_bytes(pin: Pin) -> bytes:
     """JSON. Raises InputError for a pin that is too large to be shared."""
-    payload = json.dumps(pin.to_dict(), separators=(",", ":"), allow_nan=False).encode()
+    payload = to_text(pin.to_dict()).encode()
     if len(payload) > MAX_PIN_BYTES:
         raise InputError(f"pin {pin.number} has {len(payload)} bytes; at most {MAX_PIN_BYTES} are shared")
     return payload

@@ -8,7 +8,6 @@ again, because it may have been passed on by radio.
 from __future__ import annotations
 
 import contextlib
-import json
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -19,7 +18,7 @@ from typing import Any
 
 from contract.errors import InputError
 from ground.pins.file import PinFile
-from ground.pins.model import Category, Pin, PinClick, Tie, check_texts, new_pin
+from ground.pins.model import Category, Pin, PinClick, Tie, check_texts, new_pin, to_text
 from ground.pins.postgresql import PinDatabase, is_url
 from ground.pins.tables import PinTables
 from ground.pins.ties import TieRefused, judge
@@ -185,18 +184,15 @@ class PinStore:
             for seq, *docs in self._file.rows(
                 "SELECT seq, before, after FROM changed WHERE kind = 'pin' AND id = ?", pin_id
             ):
-                then = (
-                    None if doc is None else _with_click(Pin.from_dict(self._file.json(doc)), click) for doc in docs
-                )
+                then = (None if pin is None else _with_click(pin, click) for pin in map(self._read, docs))
                 self._file.rows(
                     "UPDATE changed SET before = ?, after = ? WHERE seq = ? AND kind = 'pin' AND id = ?",
-                    *(None if pin is None else _text(pin.to_dict()) for pin in then), seq, pin_id,
+                    *(None if pin is None else to_text(pin.to_dict()) for pin in then), seq, pin_id,
                 )  # fmt: skip
             if click.id not in {one.id for one in held.clicks}:
                 return None
             self._file.bump("revision")
-            stamp = max(self._now_ns(), held.modified_unix_ns + 1)
-            after = stamped(_with_click(held, click), held, stamp, held.modified_by)
+            after = stamped(_with_click(held, click), held, self._time_after(held), held.modified_by)
             Pin.from_dict(after.to_dict())
             self._written(after)
         return after
@@ -322,12 +318,11 @@ class PinStore:
         return () if is_passing else (pin.number,)
 
     def _restamped(self, pin: Pin) -> Pin:
-        return replace(pin, modified_unix_ns=max(self._now_ns(), pin.modified_unix_ns + 1))
+        return replace(pin, modified_unix_ns=self._time_after(pin))
 
-    def _holder(self, number: int) -> Pin | None:
-        """The pin of a number, deleted or not."""
-        rows = self._file.rows("SELECT doc FROM pins WHERE number = ?", number)
-        return Pin.from_dict(self._file.json(rows[0][0])) if rows else None
+    def _time_after(self, pin: Pin) -> int:
+        """The time of a change that is made now: later than the pin's last by any clock."""
+        return max(self._now_ns(), pin.modified_unix_ns + 1)
 
     def add_tie(self, tie: Tie, *, who: str = "") -> Tie:
         """Apply a tie to its session. Raises TieRefused if it disagrees with its click or the ties there are."""
@@ -335,7 +330,7 @@ class PinStore:
             judgement = judge(tie, self.ties())
             if not judgement.is_accepted:
                 raise TieRefused(judgement)
-            change(f"tie {tie.name or tie.id[:8]} added", [self._written_tie(tie.id, _text(tie.to_dict()))])
+            change(f"tie {tie.name or tie.id[:8]} added", [self._written_tie(tie.id, to_text(tie.to_dict()))])
         return tie
 
     def delete_tie(self, tie_id: str, *, who: str = "") -> None:
@@ -357,7 +352,7 @@ class PinStore:
         return self._turned("undone", "done", "seq ASC", who)
 
     def last_change(self, state: str) -> tuple[str, str] | None:
-        """What the last change was that is `done`, or the first that is `undone`, and whose; None if there is none."""
+        """The last change that is `done`, or the first that is `undone`, and its author; None if there is none."""
         order = {"done": "DESC", "undone": "ASC"}[state]
         with self._file.reading():
             rows = self._file.rows(f"SELECT what, who FROM changes WHERE state = ? ORDER BY seq {order} LIMIT 1", state)
@@ -386,12 +381,8 @@ class PinStore:
         return str(what)
 
     def _turn_pin(self, key: str, now: str | None, then: str | None, what: str, author: str) -> None:
-        held, was, target = (
-            self._held(key),
-            *(None if doc is None else Pin.from_dict(self._file.json(doc)) for doc in (now, then)),
-        )
+        held, was, target = self._held(key), self._read(now), self._read(then)
         assert held is not None
-        stamp = max(self._now_ns(), held.modified_unix_ns + 1)
         after: Pin | None
         if target is None:  # it was not there: what was added to it since would go with it
             is_same = was is not None and _content(held) == _content(was)
@@ -404,13 +395,12 @@ class PinStore:
             raise InputError(
                 f"cannot undo {what!r}: pin {held.number} was changed since by {held.modified_by or 'others'}"
             )
-        self._written(stamped(after, held, stamp, author))
+        self._written(stamped(after, held, self._time_after(held), author))
 
     def _modified(self, pin_id: str, who: str, did: str, change_of: Callable[[Pin], Pin]) -> Pin:
         with self._changing(who) as change:
             before = self.pin(pin_id)
-            stamp = max(self._now_ns(), before.modified_unix_ns + 1)  # a later change is later by any clock
-            after = stamped(change_of(before), before, stamp, who)
+            after = stamped(change_of(before), before, self._time_after(before), who)
             Pin.from_dict(after.to_dict())
             change(f"pin {after.number} {did}", [self._written(after)])
         return after
@@ -428,14 +418,22 @@ class PinStore:
             return pin
         if revive and held.is_deleted and not pin.is_deleted:
             # A user who imports a file wants what is in it, also what was deleted here since.
-            stamp = max(self._now_ns(), held.modified_unix_ns + 1)
-            return stamped(pin.numbered(held.number, held.was), held, stamp, pin.modified_by)
+            return stamped(pin.numbered(held.number, held.was), held, self._time_after(held), pin.modified_by)
         both = joined(held, pin)
         return None if order_of(both) == order_of(held) else both
 
     def _held(self, pin_id: str) -> Pin | None:
+        """The pin of an id, deleted or not."""
         rows = self._file.rows("SELECT doc FROM pins WHERE id = ?", pin_id)
-        return Pin.from_dict(self._file.json(rows[0][0])) if rows else None
+        return self._read(rows[0][0]) if rows else None
+
+    def _holder(self, number: int) -> Pin | None:
+        """The pin of a number, deleted or not."""
+        rows = self._file.rows("SELECT doc FROM pins WHERE number = ?", number)
+        return self._read(rows[0][0]) if rows else None
+
+    def _read(self, doc: str | None) -> Pin | None:
+        return None if doc is None else Pin.from_dict(self._file.json(doc))
 
     def _written(self, pin: Pin) -> _Change:
         (item,) = self._written_all([pin])
@@ -445,7 +443,7 @@ class PinStore:
         """Write pins of different ids; the changes, each with its document before and after."""
         revision = self._file.value("revision")
         before = {p.id: self._file.rows("SELECT doc FROM pins WHERE id = ?", p.id) for p in pins}
-        docs = [_text(pin.to_dict()) for pin in pins]
+        docs = [to_text(pin.to_dict()) for pin in pins]
         self._file.each(
             "INSERT INTO pins VALUES (?, ?, ?, ?) ON CONFLICT (id) DO UPDATE SET "
             "number = excluded.number, revision = excluded.revision, doc = excluded.doc",
@@ -534,10 +532,6 @@ def _merged(pins: dict[str, Pin], fresh: Sequence[Pin]) -> dict[str, Pin]:
 def _with_click(pin: Pin, click: PinClick) -> Pin:
     """The pin with a click in the place of the one of its id."""
     return replace(pin, clicks=tuple(click if one.id == click.id else one for one in pin.clicks))
-
-
-def _text(content: dict[str, Any]) -> str:
-    return json.dumps(content, separators=(",", ":"), allow_nan=False)
 
 
 def _content(pin: Pin) -> dict[str, Any]:
