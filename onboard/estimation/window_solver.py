@@ -28,23 +28,27 @@ def adjust(request: Request) -> Outcome:
     leaves that model in doubt. One that no window has agreed with is left out then; of one that some have, nothing
     shows which of the two is wrong: the lens may have zoomed, or the ground move as a whole. (16.16)
     """
-    if request.terrain is None or request.is_terrain_left_out:
-        over = None
-    else:
-        over = _from_all_starts(request)
-        if over.status not in (Status.POOR_FIT, *MOVED):
-            return over
-    alone = _from_all_starts(replace(request, terrain=None))
-    doubt = None
-    if request.terrain is not None and alone.solved is not None:
-        doubt = off_terrain(request.config, request.terrain, alone.solved.solution, alone.solved.good)
-    if over is None:
-        return replace(alone, terrain_doubt=doubt or "")
-    if doubt is None:
+    if request.terrain is None:
+        return _from_all_starts(request)
+    if request.is_terrain_left_out:
+        return _without_terrain(request)
+    over = _from_all_starts(request)
+    if over.status not in (Status.POOR_FIT, *MOVED):
+        return over
+    alone = _without_terrain(request)
+    if not alone.terrain_doubt:
         return over
     if request.has_terrain_agreed:
-        return replace(over, status=Status.POOR_FIT, reason=doubt, terrain_doubt=doubt)
-    return replace(alone, terrain_doubt=doubt)
+        return replace(over, status=Status.POOR_FIT, reason=alone.terrain_doubt, terrain_doubt=alone.terrain_doubt)
+    return alone
+
+
+def _without_terrain(request: Request) -> Outcome:
+    """Solve a window without its terrain model, and compare that with the ground it shows."""
+    alone = _from_all_starts(replace(request, terrain=None))
+    solved = alone.solved
+    doubt = None if solved is None else off_terrain(request.config, request.terrain, solved.solution, solved.good)
+    return replace(alone, terrain_doubt=doubt or "")
 
 
 def _from_all_starts(request: Request) -> Outcome:
