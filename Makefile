@@ -140,10 +140,11 @@ docs: $(INSTALLED) web
 
 # What the tests need is fetched and built side by side. Types are checked beside the tests: mypy takes a minute of one
 # processor.
+PACKAGES := system-packages  # empty where they have been asked for already
 test: $(INSTALLED)
 	@$(MAKE) --no-print-directory --output-sync -j3 lint system-packages web
 	@$(MAKE) --no-print-directory types & types=$$!; \
-	$(MAKE) --no-print-directory pytest; tests=$$?; \
+	$(MAKE) --no-print-directory pytest PACKAGES=; tests=$$?; \
 	wait $$types || { echo "make types failed: its words are above, among the first of the tests" >&2; exit 1; }; \
 	exit $$tests
 	@echo "LEFT OUT: the tests marked long, many drawn flights and soaks. To run them: make test-long ALL=1"
@@ -230,11 +231,11 @@ define run_tests
 endef
 
 # An empty run is a lost marker, unless PYTEST_ARGS chose the tests; then one of the two must have some.
-pytest: $(INSTALLED) system-packages web
+pytest: $(INSTALLED) $(PACKAGES) web
 	$(call run_tests,not long,"0 0" $(if $(PYTEST_ARGS),| "0 5" | "5 0"))
 
 # Many drawn flights, for a share or an error that one flight cannot show, and soaks.
-test-long: $(INSTALLED) system-packages web
+test-long: $(INSTALLED) $(PACKAGES) web
 	$(call run_tests,long,"0 0" | "0 5" $(if $(PYTEST_ARGS),| "5 0"),$(if $(ALL)$(PYTEST_ARGS),,chosen))
 
 # After `make test` on a submission: what tests/submission.py chooses. One after the other: beside the long tests the
