@@ -222,7 +222,7 @@ def test_a_flying_aircraft_can_be_clicked_from_another_process(flight: Path, end
 def test_newest_time_and_unknown_pictures_over_the_link(
     flight: Path, endpoint: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """As a command of its own: the test above; here within this process."""
+    """The answer of the command, within this process; the test above starts it as a program."""
 
     def clicked(*arguments: object, code: int) -> dict[str, Any]:
         words = ["click", *map(str, arguments), "--connect", endpoint, "--format", "json"]

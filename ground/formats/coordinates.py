@@ -209,17 +209,22 @@ def _accuracy_m(way: Any) -> float:
 def _size_deg2(area: Any) -> float:
     if area is None:
         return math.inf
-    west, south, east, north = area.bounds
-    return float(((east - west) % 360.0 or 360.0) * (north - south))
+    _, south, _, north = area.bounds
+    return _width_deg(area) * float(north - south)
+
+
+def _width_deg(area: Any) -> float:
+    """The width of an area of use, which may reach over the date line."""
+    west, _, east, _ = area.bounds
+    return float((east - west) % 360.0 or 360.0)
 
 
 def _holds(area: Any, lat_deg: float, lon_deg: float, margin_deg: float = 0.0) -> bool:
     """Return whether an area of use holds a place, or is within a margin of it; None is everywhere."""
     if area is None:
         return True
-    west, south, east, north = area.bounds
-    width = (east - west) % 360.0 or 360.0
-    is_between = (lon_deg - west + margin_deg) % 360.0 <= min(width + 2.0 * margin_deg, 360.0)
+    west, south, _, north = area.bounds
+    is_between = (lon_deg - west + margin_deg) % 360.0 <= min(_width_deg(area) + 2.0 * margin_deg, 360.0)
     return bool(is_between and south - margin_deg <= lat_deg <= north + margin_deg)
 
 
