@@ -36,7 +36,7 @@ def stepped(style: Style, size_m: float, pictures: range) -> Style:
 def test_a_step_is_named_taken_out_and_doubted(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], style: Style
 ) -> None:
-    """By half of it on either side: the 90 % circle of every position holds both places."""
+    """The 90 % circle of every position holds both places, half of the step on either side."""
     flight = imported(of_survey(), tmp_path, stepped(style, 30.0, range(8, PICTURES)))
     printed = capsys.readouterr().out
     assert "in the positions from DJI_0008.JPG to DJI_0009.JPG" in printed
