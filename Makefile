@@ -153,10 +153,11 @@ test: $(INSTALLED)
 	@echo "LEFT OUT: tests/debian13, the packages for Debian 13, and all of this there. To run it: make test-debian13"
 	@echo "What a submission runs of these: make test-submission. All of them: make test-all"
 
-# Kernel and images are built once and kept in $POINTCLICK_BENCH_CACHE (~/.cache/pointclick-bench).
+# Two guests side by side: they mostly wait. Kernel and images are built once and kept in $POINTCLICK_BENCH_CACHE
+# (~/.cache/pointclick-bench).
 test-bench: $(INSTALLED)
 	@$(BIN)/python -m tests.bench build
-	@POINTCLICK_BENCH=1 $(BIN)/python -m pytest tests/bench -rR --durations=0 --durations-min=1 $(BENCH_ARGS)
+	@POINTCLICK_BENCH=1 $(BIN)/python -m pytest tests/bench -n 2 --dist loadgroup --durations=0 --durations-min=1 $(BENCH_ARGS)
 
 # Packages of both architectures, built and run; arm64 by qemu's user-mode emulation, without root or binfmt.
 test-arm64: $(INSTALLED)

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Generator
+from pathlib import Path
 
 import pytest
 
@@ -13,6 +14,13 @@ IN_THE_GUEST = os.environ.get("POINTCLICK_IN_GUEST") == "1"
 collect_ignore_glob = ["inside/*"] if not IN_THE_GUEST else []
 if not ON_THE_HOST:
     collect_ignore_glob.append("test_*.py")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Give one worker the tests of a file, which share a guest; those of test_inside.py have one each."""
+    for item in items:
+        if item.path.parent == Path(__file__).parent and item.path.name != "test_inside.py":
+            item.add_marker(pytest.mark.xdist_group(item.path.name))
 
 
 @pytest.hookimpl(wrapper=True)

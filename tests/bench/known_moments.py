@@ -12,6 +12,7 @@ prints the two bounds as JSON, in ms, with what the camera said of its stamps.
 import argparse
 import fcntl
 import json
+import math
 import os
 import random
 import threading
@@ -35,7 +36,9 @@ from tests.waiting import PATIENCE_S, eventually
 
 BRIGHTNESS = 0x00980900
 DARK, BRIGHT = 40, 200
-SWITCHES = 120
+SWITCHES_AT_ONCE, SWITCHES_AT_MOST = 30, 480
+PRECISION_MS = 3.0
+"""The bounds are so near to each other when enough switches have been made; each more brings them nearer."""
 NEAR_S = 0.008
 """So near the moment at which a picture is expected to begin, either way, are the switches made."""
 
@@ -135,26 +138,33 @@ class Watched:
             raise TimeoutError(f"no {count} pictures: {self.source.health()}")
 
 
-def measured(config: CameraConfig, size_px: tuple[int, int], sensor: Sensor, switches: int = SWITCHES) -> Delay:
-    """Switch a camera's sensor while it runs."""
+def measured(config: CameraConfig, size_px: tuple[int, int], sensor: Sensor) -> Delay:
+    """Switch a camera's sensor while it runs, until the bounds are near to each other."""
     noise, made = random.Random(5), list[Switched]()
+    least_ms, most_ms = -math.inf, math.inf
     with Watched(config, size_px) as camera:
         sensor.set(DARK)
         camera.more(30)
         begun = len(camera.stamps_ns)
-        for k in range(switches):
-            camera.more(3, made[-1].made_ns if made else 0)  # the first may have been begun before
-            recent = np.array(camera.stamps_ns[-20:], np.int64)
-            period_ns = float(np.median(np.diff(recent)))
-            to_next_ns = recent[-1] + 1e9 * noise.uniform(-NEAR_S, NEAR_S) - time.monotonic_ns()
-            time.sleep(to_next_ns % period_ns / 1e9)
-            made.append(sensor.set(DARK if k % 2 else BRIGHT))
-        camera.more(3, made[-1].made_ns)
+        while most_ms - least_ms > PRECISION_MS and len(made) < SWITCHES_AT_MOST:
+            for _ in range(SWITCHES_AT_ONCE):
+                camera.more(3, made[-1].made_ns if made else 0)  # the first may have been begun before
+                made.append(switched(camera, sensor, BRIGHT if len(made) % 2 == 0 else DARK, noise))
+            camera.more(3, made[-1].made_ns)
+            least_ms, most_ms = delay(camera.stamps_ns[begun - 5 :], camera.means[begun - 5 :], made)
         health = camera.source.health()
     if health.state not in {State.OK, State.DEGRADED}:
         raise ValueError(f"{health}")
-    least_ms, most_ms = delay(camera.stamps_ns[begun - 5 :], camera.means[begun - 5 :], made)
     return Delay(least_ms, most_ms, len(camera.stamps_ns) - begun, health.detail)
+
+
+def switched(camera: Watched, sensor: Sensor, brightness: int, noise: random.Random) -> Switched:
+    """Switch near the moment at which a picture is expected to begin."""
+    recent = np.array(camera.stamps_ns[-20:], np.int64)
+    period_ns = float(np.median(np.diff(recent)))
+    to_next_ns = recent[-1] + 1e9 * noise.uniform(-NEAR_S, NEAR_S) - time.monotonic_ns()
+    time.sleep(to_next_ns % period_ns / 1e9)
+    return sensor.set(brightness)
 
 
 def main() -> None:
@@ -163,12 +173,11 @@ def main() -> None:
     parser.add_argument("device")
     parser.add_argument("size")
     parser.add_argument("--sensor", help="whose brightness it is, by its name; else the device itself has one")
-    parser.add_argument("--switches", type=int, default=SWITCHES)
     given = parser.parse_args()
     width, height = (int(word) for word in given.size.split("x"))
     config = CameraConfig(device=given.device)
     with Sensor(node_named(given.sensor) if given.sensor else given.device) as sensor:
-        print(json.dumps(asdict(measured(config, (width, height), sensor, given.switches))))
+        print(json.dumps(asdict(measured(config, (width, height), sensor))))
 
 
 if __name__ == "__main__":

@@ -25,11 +25,11 @@ from tests.bench.image.root import CHECKOUT, INSTALL, packages, root
 MEMORY = "1536M"
 ROOM_BYTES = 3_000_000_000
 """Of the memory, the disk's changes and the shared folder."""
-BOOT_S = 60.0
+BOOT_S = 120.0
 """Bound on the boot; it takes 3 to 7 s on an idle machine."""
 END_S = 10.0
 """Bound on the wait for what was killed."""
-LIFE_S = 900.0
+LIFE_S = 1400.0
 """Bound on a guest's whole life: then it is killed, whoever still waits for it."""
 
 PYTHON = f"{INSTALL}/bin/python"
