@@ -61,15 +61,6 @@ class Fleet:
             lines.append(f"{field.name} = {json.dumps(value, ensure_ascii=False)}")
         return "\n".join(lines) + "\n"
 
-    def write(self, path: Path) -> None:
-        """Into a file, whole at any moment. Raises InputError."""
-        fresh = path.with_name(f".{path.name}.new")
-        try:
-            fresh.write_text(self.to_toml(), encoding="utf-8")
-            fresh.replace(path)
-        except OSError as error:
-            raise InputError(f"{path}: {error.strerror}") from error
-
 
 def read_fleet(path: Path) -> Fleet:
     """The list in a file. Raises InputError with the key that is wrong."""

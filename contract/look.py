@@ -14,6 +14,7 @@ from typing import Any
 
 from contract.errors import InputError, LinkError
 from contract.fleet import NAME
+from contract.stated_values import number_or_nan
 from contract.topics import LOOK
 
 MOST_REQUEST = 300  # characters
@@ -180,10 +181,7 @@ def _whole(given: dict[str, str], key: str) -> int:
 
 def _number(given: dict[str, str], key: str, low: float, high: float) -> float:
     text = given[key]
-    try:
-        value = float(text) if len(text) <= 32 else math.nan
-    except ValueError:
-        value = math.nan
+    value = number_or_nan(text) if len(text) <= 32 else math.nan
     if not low <= value <= high:
         raise InputError(f"{key}: not a number from {low:g} to {high:g}")
     return value

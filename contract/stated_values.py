@@ -14,6 +14,14 @@ from contract.errors import InputError
 from contract.near_word import near_word
 
 
+def number_or_nan(text: str) -> float:
+    """A number; NaN, which is in no range, where it is none."""
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
+
+
 def object_of(text: str | bytes, what: str) -> dict[str, Any]:
     """The JSON object in a text, each of its keys once. Raises InputError, which begins with `what`."""
     try:

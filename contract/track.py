@@ -10,6 +10,7 @@ from enum import Enum
 from contract.answer import CONFIDENCE, EXPLANATIONS, Place, rounded, time_utc
 from contract.errors import InputError
 from contract.feature_set import Status
+from contract.stated_values import number_or_nan
 
 MOST_TRACKS = 8
 MOST_PX = 8190.0  # that a packet holds
@@ -100,7 +101,6 @@ class TrackReport:
 
     @property
     def seen_unix_ns(self) -> int:
-        """The moment of the last look."""
         return self.capture_unix_ns - round(self.unseen_s * 1e9)
 
     def to_json(self) -> str:
@@ -210,10 +210,7 @@ def _whole(text: str, what: str, most: int) -> int:
 
 
 def _pixel(text: str, what: str) -> float:
-    try:
-        value = float(text) if len(text) <= 32 else math.nan
-    except ValueError:
-        value = math.nan
+    value = number_or_nan(text) if len(text) <= 32 else math.nan
     if not -0.5 <= value <= MOST_PX:
         raise InputError(f"{what}: not a pixel")
     return value

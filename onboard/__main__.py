@@ -10,12 +10,13 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import importlib
 import math
 import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TypeAlias
 
@@ -72,7 +73,6 @@ def parser() -> argparse.ArgumentParser:
     _add_imports(commands)
     cameras = commands.add_parser("cameras", help="list cameras, their formats and controls")
     cameras.add_argument("--json", action="store_true", help="for programs")
-    cameras.set_defaults(run=run_cameras)
 
     _add_setup(
         commands.add_parser("setup", help="a configuration for this aircraft: found out, or asked for, and checked")
@@ -93,11 +93,9 @@ def parser() -> argparse.ArgumentParser:
     serve.add_argument(
         "--listen", default=DEFAULT_ENDPOINT, metavar="ENDPOINT", help=f"zenoh endpoint ({DEFAULT_ENDPOINT})"
     )
-    serve.set_defaults(run=run_serve)
 
     run = commands.add_parser("run", help="fly: the daemon, as the service starts it")
     run.add_argument("--config", type=Path, default=CONFIG, metavar="FILE", help=f"configuration ({CONFIG})")
-    run.set_defaults(run=run_daemon)
     return top
 
 
@@ -194,7 +192,6 @@ def _add_replay(commands: Commands) -> None:
     )
     replay.add_argument("--progress", action="store_true", help="progress also without a terminal: a line each 10 s")
     replay.add_argument("--budget", action="store_true", help="where a click's error comes from; what makes it smaller")
-    replay.set_defaults(run=run_replay)
 
 
 def _add_imports(commands: Commands) -> None:
@@ -209,7 +206,6 @@ def _add_imports(commands: Commands) -> None:
     photos.add_argument("folder", type=Path, metavar="DIR", help="the photographs, of one camera and one flight")
     photos.add_argument("--copy", action="store_true", help="copy the pictures; else they are linked to")
     _add_importing(photos)
-    photos.set_defaults(run=run_import_photos)
 
     video = commands.add_parser(
         "import-video",
@@ -227,7 +223,6 @@ def _add_imports(commands: Commands) -> None:
         help="when it began, in UTC, to as many digits as you know: 2026-06-12T10:15:23.4Z",
     )
     _add_importing(video)
-    video.set_defaults(run=run_import_video)
 
 
 def _add_setup(setup: argparse.ArgumentParser) -> None:
@@ -269,14 +264,6 @@ def _add_setup(setup: argparse.ArgumentParser) -> None:
         metavar="SESSION.mcap",
         help="the configuration of a recorded flight (with pictures), the camera sitting as its pictures show",
     )
-    setup.set_defaults(run=run_setup)
-
-
-def run_setup(arguments: argparse.Namespace) -> int:
-    """Find out, ask, write and check; 1 if the doctor finds something."""
-    from onboard.commands.setup import run  # noqa: PLC0415
-
-    return run(arguments)
 
 
 def _add_checks(commands: Commands) -> None:
@@ -284,14 +271,12 @@ def _add_checks(commands: Commands) -> None:
     status.add_argument("--config", type=Path, default=CONFIG, metavar="FILE", help=f"its configuration ({CONFIG})")
     status.add_argument("--vehicle", metavar="NAME", help="another vehicle than the configured one")
     status.add_argument("--json", action="store_true", help="everything it knows of itself")
-    status.set_defaults(run=run_status)
 
     check = commands.add_parser("check-config", help="check a configuration file and the config.d next to it")
     check.add_argument("--config", type=Path, default=CONFIG, metavar="FILE", help=f"configuration ({CONFIG})")
     check.add_argument(
         "--fly", action="store_true", help="and whether what it names is there: camera file, camera, telemetry"
     )
-    check.set_defaults(run=run_check_config)
 
     doctor = commands.add_parser("doctor", help="before take-off: is everything well?")
     doctor.add_argument("--config", type=Path, default=CONFIG, metavar="FILE", help=f"configuration ({CONFIG})")
@@ -304,7 +289,6 @@ def _add_checks(commands: Commands) -> None:
         metavar="S",
         help="without a daemon: longest look at camera and telemetry",
     )
-    doctor.set_defaults(run=run_doctor)
 
 
 def _add_bench(bench: argparse.ArgumentParser) -> None:
@@ -320,14 +304,6 @@ def _add_bench(bench: argparse.ArgumentParser) -> None:
     bench.add_argument("--telemetry", type=Path, metavar="LOG")
     bench.add_argument("--stamps", type=Path, metavar="STAMPS.csv")
     bench.add_argument("--json", action="store_true", help="as a JSON object, for programs")
-    bench.set_defaults(run=run_bench)
-
-
-def run_bench(arguments: argparse.Namespace) -> int:
-    """Measure; 1 if the configured camera is more than this computer can do."""
-    from onboard.commands.bench import run  # noqa: PLC0415
-
-    return run(arguments)
 
 
 def _add_camera(camera: argparse.ArgumentParser) -> None:
@@ -335,14 +311,6 @@ def _add_camera(camera: argparse.ArgumentParser) -> None:
     camera.add_argument("--out", type=Path, metavar="CAMERA.json", help="write it as a camera file of ours")
     camera.add_argument("--size", type=pair, metavar="WxH", help="picture size, for a file that states none")
     camera.add_argument("--which", metavar="NAME", help="one of a file's several cameras")
-    camera.set_defaults(run=run_camera)
-
-
-def run_camera(arguments: argparse.Namespace) -> int:
-    """Read a camera file and print what is in it."""
-    from onboard.commands.camera import run  # noqa: PLC0415
-
-    return run(arguments)
 
 
 def _add_calibrate(calibrate: argparse.ArgumentParser) -> None:
@@ -379,22 +347,6 @@ def _add_calibrate(calibrate: argparse.ArgumentParser) -> None:
     calibrate.add_argument(
         "--print-board", type=Path, metavar="FILE.pdf", help="write the board for the printer (or .png)"
     )
-    calibrate.set_defaults(run=run_calibrate)
-
-
-def run_calibrate(arguments: argparse.Namespace) -> int:
-    """Calibrate; 1 if the calibration is not good."""
-    if arguments.from_session is not None:
-        from onboard.commands.calibrate_in_flight import run as run_in_flight  # noqa: PLC0415
-
-        return run_in_flight(arguments)
-    if arguments.zoom:
-        from onboard.commands.calibrate_zoom import run as run_zoom  # noqa: PLC0415
-
-        return run_zoom(arguments)
-    from onboard.commands.calibrate import run  # noqa: PLC0415
-
-    return run(arguments)
 
 
 def _add_make_credentials(credentials: argparse.ArgumentParser) -> None:
@@ -415,14 +367,6 @@ def _add_make_credentials(credentials: argparse.ArgumentParser) -> None:
         help="where the router, or without one the aircraft, is reached; name and loopback are always among them",
     )
     credentials.add_argument("--days", type=days, default=365.0, metavar="N", help="valid for so long (365)")
-    credentials.set_defaults(run=run_make_credentials)
-
-
-def run_make_credentials(arguments: argparse.Namespace) -> int:
-    """Issue certificates and print where they are."""
-    from onboard.commands.make_credentials import run  # noqa: PLC0415
-
-    return run(arguments)
 
 
 def _add_importing(command: argparse.ArgumentParser) -> None:
@@ -455,55 +399,6 @@ def _add_importing(command: argparse.ArgumentParser) -> None:
         "many digits as you know, or S+-SIGMA; else it is searched over the log",
     )
     command.add_argument("--home-amsl-m", type=finite, metavar="M", help="as for replay")
-
-
-def run_import_video(arguments: argparse.Namespace) -> int:
-    """Make a flight of a video and print what was assumed."""
-    from onboard.commands import import_video  # noqa: PLC0415
-
-    return import_video.run(arguments)
-
-
-def run_import_photos(arguments: argparse.Namespace) -> int:
-    """Make a flight of photographs and print what was assumed."""
-    from onboard.commands import import_photos  # noqa: PLC0415
-
-    return import_photos.run(arguments)
-
-
-def run_cameras(arguments: argparse.Namespace) -> int:
-    """List the cameras; 1 if there is none."""
-    from onboard.commands.cameras import run  # noqa: PLC0415
-
-    return run(arguments)
-
-
-def run_check_config(arguments: argparse.Namespace) -> int:
-    """Load a configuration; prints which files are good. With --fly, 1 if something that it names is missing."""
-    from onboard.commands import check_config  # noqa: PLC0415
-
-    return check_config.run(arguments)
-
-
-def run_daemon(arguments: argparse.Namespace) -> int:
-    """Fly until asked to stop."""
-    from onboard.commands import run  # noqa: PLC0415
-
-    return run.run(arguments)
-
-
-def run_doctor(arguments: argparse.Namespace) -> int:
-    """Look at everything; 1 if anything is not well."""
-    from onboard.commands import doctor  # noqa: PLC0415
-
-    return doctor.run(arguments)
-
-
-def run_status(arguments: argparse.Namespace) -> int:
-    """Ask the running daemon."""
-    from onboard.commands import status  # noqa: PLC0415
-
-    return status.run(arguments)
 
 
 def run_serve(arguments: argparse.Namespace) -> int:
@@ -574,11 +469,24 @@ def main(argv: list[str] | None = None) -> int:
     return code
 
 
+def _command(arguments: argparse.Namespace) -> Callable[[argparse.Namespace], int]:
+    """Return the function of a command. Its module is imported now: NumPy and OpenCV must find their environment set,
+    and what another command needs may not be installed.
+    """
+    name = arguments.command.replace("-", "_")
+    if name in ("serve", "replay"):
+        return run_serve if name == "serve" else run_replay
+    if name == "calibrate":
+        name += "_in_flight" if arguments.from_session is not None else "_zoom" if arguments.zoom else ""
+    run: Callable[[argparse.Namespace], int] = importlib.import_module(f"onboard.commands.{name}").run
+    return run
+
+
 def _run(argv: list[str] | None) -> int:
     _set_environment()
     arguments = parser().parse_args(argv)
     try:
-        return int(arguments.run(arguments))
+        return _command(arguments)(arguments)
     except PointclickError as error:
         print(f"{PROGRAM}: error: {' '.join(str(error).split())}", file=sys.stderr)
         return 2

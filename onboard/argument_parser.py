@@ -13,6 +13,7 @@ from datetime import UTC, datetime
 from typing import NoReturn
 
 from contract.near_word import in_usage, options_of
+from contract.stated_values import number_or_nan
 
 ABOVE_0 = math.ulp(0.0)
 
@@ -21,7 +22,6 @@ class Parser(argparse.ArgumentParser):
     """Wrong usage is one line, as every other error."""
 
     def error(self, message: str) -> NoReturn:
-        """Print the line and exit with 2."""
         self.exit(2, f"{self.prog.split()[0]}: error: {in_usage(message, options_of(self))} (see {self.prog} --help)\n")
 
 
@@ -58,14 +58,6 @@ def drop_output() -> None:
     os.close(nowhere)
 
 
-def number_or_nan(text: str) -> float:
-    """A number; NaN, which is in no range, where it is none."""
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan
-
-
 def within(text: str, low: float, high: float, what: str) -> float:
     """A number from `low` to `high`; `what` ends the sentence that begins with the text and "is"."""
     number = number_or_nan(text)
@@ -98,7 +90,6 @@ def days(text: str) -> float:
 
 
 def rate(text: str) -> float:
-    """Pictures a second."""
     return within(text, 0.1, 240.0, "no number of pictures a second from 0.1 to 240")
 
 

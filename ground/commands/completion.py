@@ -18,7 +18,6 @@ examples:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `completion`."""
     parser.add_argument("shell", choices=SHELLS)
 
 

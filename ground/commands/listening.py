@@ -14,7 +14,7 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from contract.errors import InputError, LinkError
-from ground.commands.saving import save
+from contract.whole_file import save
 from ground.commands.sources import add_source_arguments
 from ground.commands.values import positive
 from ground.link_options import UsageError
@@ -73,7 +73,6 @@ class Received:
         self._is_there = self._is_reported = False
 
     def take(self, key: str, payload: bytes) -> None:
-        """Take a message of the link, of whatever kind."""
         self._is_there = True
 
     def report(self, vehicles: Sequence[str]) -> None:

@@ -15,10 +15,10 @@ from contract.answer import Answer, Refusal
 from contract.circular_error import CE90_SIGMAS, LE90_SIGMAS
 from contract.errors import InputError
 from contract.locate import Locator
+from contract.whole_file import save
 from ground.commands import ANSWERED, REFUSED
 from ground.commands.grids import add_grid_arguments, grid_of
 from ground.commands.measure import text_of
-from ground.commands.saving import save
 from ground.commands.sources import Clicker, add_interpolated_argument, add_source_arguments, source_of
 from ground.commands.until_ended import until_ended
 from ground.commands.values import finite, frame_number, origin, pin_number, positive
@@ -228,7 +228,6 @@ def _clicked(args: argparse.Namespace) -> PinClick | Refusal:
 
 
 def _answered(args: argparse.Namespace) -> tuple[Answer, Locator | None]:
-    """Click the pixel in the picture named or the newest; the answer, and the locator that gave it."""
     with closing(source_of(args)) as source:
         max_age_s = MAX_AGE_S if args.frame is None and not source.is_recorded else math.inf
         clicker = Clicker(source, max_age_s, is_measured=not args.interpolated)

@@ -146,7 +146,6 @@ def _warn(seen: SeenGround) -> None:
 
 
 def to_dict(seen: SeenGround, found: Coverage) -> dict[str, object]:
-    """Return the JSON object of what was seen."""
     return {
         "pictures": seen.pictures, "vehicles": sorted({vehicle for vehicle, _ in seen.sources}),
         "first_utc": time_text(found.first_s), "last_utc": time_text(found.last_s), "cell_m": found.cells.cell_m,

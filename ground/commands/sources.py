@@ -48,7 +48,6 @@ def add_source_arguments(parser: argparse.ArgumentParser, vehicle: str = "needed
 
 
 def add_interpolated_argument(parser: argparse.ArgumentParser) -> None:
-    """`--interpolated`, of a command that has clicked pixels measured."""
     parser.add_argument(
         "--interpolated",
         action="store_true",
@@ -93,7 +92,6 @@ class RecordedSource:
         return True
 
     def close(self) -> None:
-        """End the program that measures."""
         if self._server is not None:
             self._server.close()
 

@@ -6,15 +6,13 @@ import argparse
 import math
 
 from contract.errors import InputError
+from contract.stated_values import number_or_nan
 from ground.formats.coordinate_text import read_coordinate
 
 
 def finite(text: str) -> float:
     """A number that is one."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
+    value = number_or_nan(text)
     if not math.isfinite(value):
         raise argparse.ArgumentTypeError(f"{text.strip()!r} is not a finite number")
     return value

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
-import math
 from pathlib import Path
 
 from contract.errors import InputError
+from contract.stated_values import number_or_nan
 from contract.topics import DEFAULT_ENDPOINT
 from ground.link_options import add_tls_arguments, tls_of
 from ground.web.startup import WebError, check_installed, tokens_of
@@ -133,10 +133,7 @@ def _port(text: str) -> int:
 
 
 def _seconds(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
+    value = number_or_nan(text)
     if not abs(value) < 1e6:
         raise argparse.ArgumentTypeError(f"{text!r} is not a number of seconds")
     return value

@@ -19,6 +19,7 @@ from PIL import Image
 from contract.camera import Camera
 from contract.errors import ConfigError, InputError
 from contract.supervised_thread import Policy, SupervisedThread
+from contract.whole_file import save
 from onboard.calibration.board import Board, Grey
 from onboard.calibration.intrinsics import Fit, View, calibrate
 from onboard.calibration.verdict import Verdict, bare_places, coverage_picture, judge, report
@@ -85,13 +86,13 @@ def conclude(views: list[View], size_px: tuple[int, int], out: Path, coverage: P
     if fit is not None:
         print(report(fit, dropped))
         picture = coverage or out.with_suffix(".coverage.png")
-        write(picture, cv2.imencode(".png", coverage_picture(fit, verdict))[1].tobytes())
+        save(picture, cv2.imencode(".png", coverage_picture(fit, verdict))[1].tobytes())
         print(f"coverage: {picture}")
     print(f"verdict: {verdict}")
     if fit is None or not (verdict.is_good or accept):
         print(f"{out} is not written" + ("" if fit is None else " (--accept writes it all the same)"))
         return 1
-    write(out, camera_file(fit, verdict).encode())
+    save(out, camera_file(fit, verdict))
     print(f"written: {out}")
     return 0 if verdict.is_good else 1
 
@@ -115,21 +116,6 @@ def check_writable(path: Path) -> None:
     folder = path.parent
     if not folder.is_dir() or not os.access(folder, os.W_OK) or path.is_dir():
         raise InputError(f"{path}: cannot be written there")
-
-
-def write(path: Path, content: bytes, mode: int = 0o666, owner: tuple[int, int] | None = None) -> None:
-    """The whole file or none of it, with its owner and mode before there is anything in it; raises InputError."""
-    part = path.with_name(path.name + ".part")
-    try:
-        part.unlink(missing_ok=True)
-        with os.fdopen(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as stream:
-            if owner is not None:
-                os.fchown(stream.fileno(), *owner)
-                os.fchmod(stream.fileno(), mode)
-            stream.write(content)
-        part.replace(path)
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from error
 
 
 def print_board(board: Board, path: Path) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 
 from contract.camera import SIGMA_KEYS, UNKNOWN_SIGMA, Camera
 from contract.errors import InputError
-from onboard.commands.calibrate import write
+from contract.whole_file import save
 from onboard.commands.replay import recorded_flight
 from onboard.pipeline.pipeline import Pipeline
 from onboard.replay.runner import replay
@@ -62,4 +62,4 @@ def _numbers(camera: Camera) -> tuple[float, ...]:
 def _write(path: Path, camera: Camera, source: Path) -> None:
     known = json.loads(camera.to_json())
     known["calibration"]["from_flight"] = source.name
-    write(path, (json.dumps(known, indent=1) + "\n").encode())
+    save(path, json.dumps(known, indent=1) + "\n")

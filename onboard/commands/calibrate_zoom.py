@@ -10,10 +10,12 @@ import numpy as np
 
 from contract.camera import Camera
 from contract.errors import ConfigError
+from contract.stated_values import number_or_nan
+from contract.whole_file import save
 from contract.zoom_table import Unit, ZoomTable
 from onboard.calibration.intrinsics import calibrate
 from onboard.calibration.verdict import judge, report
-from onboard.commands.calibrate import board_of, camera_file, check_writable, views_of_folder, write
+from onboard.commands.calibrate import board_of, camera_file, check_writable, views_of_folder
 
 
 def zoom_positions(texts: list[str]) -> list[tuple[float, Path]]:
@@ -21,10 +23,7 @@ def zoom_positions(texts: list[str]) -> list[tuple[float, Path]]:
     found: dict[float, Path] = {}
     for text in texts:
         position, equals, folder = text.partition("=")
-        try:
-            at = float(position)
-        except ValueError:
-            at = float("nan")
+        at = number_or_nan(position)
         if not equals or not folder or not np.isfinite(at) or at in found:
             raise ConfigError(f"calibrate: --zoom {text}: it is POSITION=DIR, each position once, as --zoom 1=wide")
         found[at] = Path(folder)
@@ -72,7 +71,7 @@ def run(arguments: argparse.Namespace) -> int:
         shares = [widest.focal_px / camera.focal_px if key in ("fx", "fy") else 1.0 for camera in cameras]
         worst = max(fit.sigmas[key] * share for (_, fit, _), share in zip(fits, shares, strict=True))
         known["calibration"]["sigma"][key] = float(f"{worst:.3g}")
-    write(out, (json.dumps(known, indent=1) + "\n").encode())
+    save(out, json.dumps(known, indent=1) + "\n")
     print(f"written: {out}, zoom {fits[0][0]:g} to {fits[-1][0]:g} {unit}")
     return 0 if all(verdict.is_good for _, _, verdict in fits) else 1
 

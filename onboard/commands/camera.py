@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import os
-from pathlib import Path
 
 import numpy as np
 
-from contract.camera import Camera
-from contract.errors import InputError
 from contract.lens import FISHEYE
+from contract.whole_file import save
 from onboard.camera_files.formats import CameraFile, read_camera_file
 
 
@@ -19,7 +16,7 @@ def run(arguments: argparse.Namespace) -> int:
     read = read_camera_file(arguments.file, arguments.size, arguments.which)
     print("\n".join(text(read)))
     if arguments.out is not None:
-        _write(arguments.out, read.camera)
+        save(arguments.out, read.camera.to_json() + "\n")
         print(f"written: {arguments.out}")
     return 0
 
@@ -59,14 +56,3 @@ def _sigma_line(read: CameraFile) -> str:
     centre = x * read.camera.focal_px, y * read.camera.focal_px
     stated = f"focal length {100.0 * f:.2g} %, centre {centre[0]:.2g} {centre[1]:.2g} px, k1 {k1:.2g}, k2 {k2:.2g}"
     return f"sigmas: {stated}" + ("" if read.has_sigmas else "; the file states none: a lens known by its type")
-
-
-def _write(path: Path, camera: Camera) -> None:
-    """Write whole or not at all."""
-    draft = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        draft.write_text(camera.to_json() + "\n", encoding="utf-8")
-        draft.replace(path)
-    except OSError as error:
-        draft.unlink(missing_ok=True)
-        raise InputError(f"{path}: {error.strerror}") from error

@@ -15,6 +15,7 @@ from pathlib import Path
 
 from contract.camera import Camera
 from contract.errors import ConfigError, InputError
+from contract.stated_values import number_or_nan
 from onboard.camera.photo_metadata import Focal
 from onboard.camera_files.formats import read_camera_file
 from onboard.commands.flight_folder import next_to
@@ -187,10 +188,7 @@ def _of_file(path: Path, size_px: tuple[int, int]) -> Optics:
 
 
 def _given(size_px: tuple[int, int], value: str) -> Focal:
-    try:
-        fov_deg = float(value)
-    except ValueError:
-        fov_deg = math.nan
+    fov_deg = number_or_nan(value)
     if not 5.0 <= fov_deg <= 150.0:
         raise ConfigError(f"--set {FOV}={value}: the horizontal field of view is 5 to 150 degrees")
     focal_px = 0.5 * size_px[0] / math.tan(math.radians(0.5 * fov_deg))

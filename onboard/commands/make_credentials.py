@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from contract.errors import InputError
 from contract.fleet import FLEET_FILE, Fleet, read_fleet
+from contract.whole_file import save
 from onboard.link.certificates import AUTHORITY, make_credentials
 
 
@@ -26,7 +27,7 @@ def run(arguments: argparse.Namespace) -> int:
         arguments.folder, vehicles, people, arguments.address, arguments.days, routers=routers
     ):
         print(folder)
-    listed.write(place)
+    save(place, listed.to_toml())
     print(f"{arguments.folder / AUTHORITY} (signs new ones: keep it off the aircraft and away from others)")
     print(f"{place} (who may do what: for pc-ground router --config)")
     return 0

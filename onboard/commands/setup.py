@@ -18,6 +18,7 @@ import numpy as np
 from contract.errors import ConfigError, InputError
 from contract.rotations import log_so3, mount_rotation
 from contract.secrets import without_secrets
+from contract.whole_file import save
 from onboard.camera.discovery import device_paths
 from onboard.camera.helper_launch import libcamera_names
 from onboard.camera.known_lenses import GIVEN_SIGMA, Lens, first_camera_file, known_lens, named_lens
@@ -26,7 +27,6 @@ from onboard.camera.playback import PREFIX
 from onboard.camera.v4l2_device import V4l2Device
 from onboard.camera_files.formats import load_camera_file
 from onboard.commands import doctor
-from onboard.commands.calibrate import write
 from onboard.commands.cameras import stable_name
 from onboard.commands.checks import CHECKS
 from onboard.commands.questions import Terminal
@@ -124,7 +124,7 @@ def run(arguments: argparse.Namespace, terminal: Terminal | None = None, around:
     config = _checked(keys)
     if text is not None:
         _check_free(camera_file, arguments.force)
-        write(camera_file, text.encode())
+        save(camera_file, text)
         print(f"written: {camera_file}")
     return _finish(config_path, to_toml(_with_measured_rate(config, around)), left, around)
 
@@ -175,9 +175,9 @@ def _write_config(path: Path, text: str, *, has_password: bool) -> None:
     """Write it with owner and mode of the file that it replaces; only the owner can read a new one with a password."""
     if path.exists():
         was = path.stat()
-        write(path, text.encode(), was.st_mode & 0o777, (was.st_uid, was.st_gid))
+        save(path, text, was.st_mode & 0o777, (was.st_uid, was.st_gid))
     else:
-        write(path, text.encode(), 0o600 if has_password else 0o666)
+        save(path, text, 0o600 if has_password else 0o666)
 
 
 def _check_free(path: Path, force: bool) -> None:

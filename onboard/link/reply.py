@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from contract.errors import WireError
 from contract.feature_set import FeatureSet, Status
 from contract.history import Entry, History
+from contract.stated_values import number_or_nan
 from contract.topics import ANSWER_TIMEOUT_S
 from contract.vehicle_status import VehicleStatus, decode_status
 from onboard.link.pending_pictures import PendingPictures
@@ -69,7 +70,7 @@ class Question:
     @property
     def time_s(self) -> float | None:
         """The time asked for; None without one, and for what is none."""
-        unix_s = math.nan if self.unix_s is None else _number(self.unix_s)
+        unix_s = math.nan if self.unix_s is None else number_or_nan(self.unix_s)
         return unix_s if math.isfinite(unix_s) else None
 
     @property
@@ -77,7 +78,7 @@ class Question:
         """The pixel that is to be measured; None without one, and for what is none."""
         if self.u is None or self.v is None:
             return None
-        u, v = _number(self.u), _number(self.v)
+        u, v = number_or_nan(self.u), number_or_nan(self.v)
         return (u, v) if -0.5 <= u <= MOST_PX and -0.5 <= v <= MOST_PX else None
 
     def pending(self, history: History[bytes], pictures: PendingPictures) -> int | None:
@@ -152,7 +153,7 @@ def not_placed(vehicle: str, frame: int) -> Answer:
 
 def patience_s(stated: str | None) -> float:
     """Return how long a ground waits for its answer, s, as it states itself; not without limit."""
-    seconds = math.nan if stated is None else _number(stated)
+    seconds = math.nan if stated is None else number_or_nan(stated)
     return min(max(seconds, 0.0), MOST_PATIENCE_S) if math.isfinite(seconds) else ANSWER_TIMEOUT_S
 
 
@@ -180,13 +181,6 @@ def _state(status: bytes) -> VehicleStatus | None:
         return decode_status(status)
     except WireError:
         return None  # none has been published yet
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan
 
 
 def _json(content: dict[str, object]) -> bytes:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 from contract.errors import InputError
+from contract.whole_file import save
 from onboard.estimation.boresight import Alignment
 
 
@@ -38,18 +38,12 @@ class StateFile:
             raise InputError(f"state file {self.path}: {error}") from error
 
     def keep(self, alignment: Alignment) -> None:
-        """Write what this flight taught, if it taught anything."""
         if alignment.updates:
             self.write(alignment.to_json())
 
     def write(self, text: str) -> None:
         """Replace the file's content, safe against a loss of power: the old text or the new, never a part."""
-        part = self.path.with_name(f".{self.path.name}.part")
         try:
-            with part.open("w", encoding="utf-8") as file:
-                file.write(text)
-                file.flush()
-                os.fsync(file.fileno())
-            part.replace(self.path)
-        except OSError as error:
-            raise InputError(f"state file {self.path}: {error.strerror}") from error
+            save(self.path, text)
+        except InputError as error:
+            raise InputError(f"state file {error}") from error

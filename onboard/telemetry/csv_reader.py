@@ -9,6 +9,7 @@ from decimal import Decimal, InvalidOperation
 from pathlib import Path
 
 from contract.errors import InputError
+from contract.stated_values import number_or_nan
 from onboard.telemetry.row_events import (
     ATTITUDE,
     GIMBAL,
@@ -30,7 +31,6 @@ NEEDED = ("unix_time_s", *POSITION)
 
 
 def looks_like_table(head: bytes) -> bool:
-    """Return whether a file that begins with `head` is such a table."""
     return "unix_time_s" in _names(head)
 
 
@@ -86,10 +86,7 @@ def _row(row: dict[str | None, str | None], where: str) -> tuple[int, Row]:
         text = (cell or "").strip()
         if name is None or name == "unix_time_s" or not text:
             continue
-        try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
+        value = number_or_nan(text)
         if not math.isfinite(value) or abs(value) > LIMITS.get(name, math.inf):
             raise InputError(f"{where}: {name} '{text}' is not a number that it can be")
         out[name] = value

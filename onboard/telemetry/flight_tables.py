@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from contract.errors import InputError
+from contract.stated_values import number_or_nan
 from onboard.telemetry.civil_time import moments_ns
 from onboard.telemetry.contradictions import LEAST_SHARE, beginning
 from onboard.telemetry.read_options import ReadOptions
@@ -153,10 +154,7 @@ def _number(cell: str, mark: str) -> float:
         return math.nan
     if re.fullmatch(rf"[+-]?\d{{1,3}}(?:[{other}]\d{{3}})+(?:[{mark}]\d*)?", text):
         text = text.replace(other, "")
-    try:
-        return float(text.replace(mark, "."))
-    except ValueError:
-        return math.nan
+    return number_or_nan(text.replace(mark, "."))
 
 
 def _decimals(cell: str) -> int:

@@ -12,6 +12,7 @@ from pathlib import Path
 from xml.parsers import expat
 
 from contract.errors import InputError
+from contract.stated_values import number_or_nan
 from onboard.telemetry.civil_time import moment_ns
 from onboard.telemetry.flight_tables import NO_ZONE
 from onboard.telemetry.nmea_source import dilution_sigmas_m
@@ -37,7 +38,6 @@ MAX_TEXT = 200
 
 
 def begins_gpx(head: bytes) -> bool:
-    """Return whether a file that begins with `head` is one of these."""
     return b"<gpx" in head
 
 
@@ -107,7 +107,7 @@ class _Track:
         self._tracks += name == "trk"
         if name == "trkpt":
             texts = attributes.get("lat", ""), attributes.get("lon", "")
-            lat_deg, lon_deg = (_number(text) for text in texts)
+            lat_deg, lon_deg = (number_or_nan(text) for text in texts)
             self._row, self._time = {}, ""
             if abs(lat_deg) <= LIMITS["lat_deg"] and abs(lon_deg) <= LIMITS["lon_deg"]:
                 self._row = {"lat_deg": lat_deg, "lon_deg": lon_deg}
@@ -124,9 +124,9 @@ class _Track:
         elif self._open and self._open[-1] == "trkpt":  # of the point itself, not of an extension in it
             if name == "time":
                 self._time = self._text
-            elif name in NUMBERS and math.isfinite(value := _number(self._text)):
+            elif name in NUMBERS and math.isfinite(value := number_or_nan(self._text)):
                 self._row[NUMBERS[name]] = value
-            elif name == "hdop" and (sigmas_m := dilution_sigmas_m(_number(self._text))) is not None:
+            elif name == "hdop" and (sigmas_m := dilution_sigmas_m(number_or_nan(self._text))) is not None:
                 self._row |= dict(zip(SIGMAS[:2], sigmas_m, strict=True))
             elif name == "fix" and self._text.strip() in ("none", "2d"):
                 self._row.pop("lat_deg", None)  # of two dimensions: its height is none
@@ -150,10 +150,3 @@ class _Track:
 
 def _refuse(*_: object) -> None:
     raise InputError("it declares a document type, which a track does not need: it is not read")
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan

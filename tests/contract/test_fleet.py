@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from contract.errors import InputError
 from contract.fleet import MAX_BYTES, Fleet, read_fleet
+from contract.whole_file import save
 
 NAMES = st.text(string.ascii_letters + string.digits + "_.-", min_size=1, max_size=32)
 
@@ -29,7 +30,7 @@ def test_a_list_that_is_written_is_read_back_as_it_was(names: list[str], listen:
     )
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "fleet.toml"
-        fleet.write(path)
+        save(path, fleet.to_toml())
         assert read_fleet(path) == fleet
         assert [file.name for file in Path(folder).iterdir()] == ["fleet.toml"]
 

@@ -17,6 +17,7 @@ from contract.errors import InputError, LinkError
 from contract.fleet import FLEET_FILE, Fleet, read_fleet
 from contract.link_config import Tls, link_config
 from contract.topics import ALIVE, FEATURES, STATUS
+from contract.whole_file import save
 from contract.wire.codec import encode
 from ground.__main__ import main
 from ground.client import SetCache, ask
@@ -68,7 +69,7 @@ def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
     fleet = read_fleet(folder / FLEET_FILE)
     assert fleet.router == "base" and fleet.aircraft == ("uav-1", "uav-2") and fleet.viewers == ("ben", "former")
     assert fleet.operators == fleet.pins == ("anna", "cleo")
-    replace(fleet, viewers=("ben",)).write(folder / FLEET_FILE)
+    save(folder / FLEET_FILE, replace(fleet, viewers=("ben",)).to_toml())
     return folder
 
 
@@ -317,11 +318,11 @@ def test_what_is_printed_for_zenohd_is_the_router_s_own_configuration(
 
 def test_the_list_is_read_again_only_when_the_file_is_another(tmp_path: Path) -> None:
     path = tmp_path / FLEET_FILE
-    Fleet(aircraft=("a",)).write(path)
+    save(path, Fleet(aircraft=("a",)).to_toml())
     listed = ListOfFile(path, ["tls/127.0.0.1:1"])
     assert listed.read() == Fleet(aircraft=("a",), listen=("tls/127.0.0.1:1",))
     assert listed.changed() is None
-    Fleet(aircraft=("a", "b")).write(path)
+    save(path, Fleet(aircraft=("a", "b")).to_toml())
     fleet = listed.changed()
     assert fleet.aircraft == ("a", "b") and listed.changed() is None
     path.unlink()
