@@ -24,9 +24,9 @@ from pymavlink import DFReader
 from contract.errors import InputError
 from onboard.clocks.boot_clock import Mode
 from onboard.events.types import Attitude, FilterStatus, GimbalAttitude, GpsQuality, NavEvent, PositionFix, RangeFinder
-from onboard.telemetry.gps_time import LAG_S, GpsClock, receiver_lag_s, unix_ns_of_gps
+from onboard.telemetry.gps_time import LAG_S, METRES_A_DEGREE, GpsClock, receiver_lag_s, unix_ns_of_gps
 from onboard.telemetry.mavlink_events import FROZEN_GPS_NS, sensor_direction
-from onboard.telemetry.telemetry_log import TelemetryLog, quaternions
+from onboard.telemetry.telemetry_log import TelemetryLog, interpolated, quaternions
 
 Array = NDArray[np.float64]
 
@@ -46,11 +46,9 @@ FIELDS = {
 }
 # The earlier names of a field, in the order in which they are looked for.
 FORMERLY = {"GMS": ("GPSTimeMS", "TimeMS"), "GWk": ("Week",), "RelHomeAlt": ("RelAlt",)}
-METRES_A_DEGREE = 111_320.0
 UNUSED = "GPS of the first receiver, not in use"
 FAST, FAST_US = {"IMU", "KF1", "KF4"}, 3000  # may be logged at a loop's rate, of which no more than this is used
 FAR_US = 5_000_000  # a stamp this far from its neighbours' is damaged
-MAX_GAP_S = 0.3  # over which velocities and rates are interpolated
 MAX_ORIGIN_M = 15.0  # that the receiver's track may lie about the first filter's, where that one stands for POS
 REPORT_US = 200_000  # the filter's flags come at its own rate: passed on when they change, and this often
 GOOD_RANGE = 4  # RFND.Stat
@@ -71,15 +69,7 @@ class _Table:
 
     def at(self, boot_us: NDArray[np.int64], columns: slice) -> Array:
         """Columns interpolated at other times (M,); nan past the ends and within gaps."""
-        out = np.full((len(boot_us), len(range(*columns.indices(self.values.shape[1])))), np.nan)
-        if len(self) < 2:
-            return out
-        right = np.clip(np.searchsorted(self.boot_us, boot_us), 1, len(self) - 1)
-        near = (self.boot_us[right] - self.boot_us[right - 1]) * 1e-6 <= MAX_GAP_S
-        near &= (boot_us >= self.boot_us[0]) & (boot_us <= self.boot_us[-1])
-        for i, column in enumerate(self.values[:, columns].T):
-            out[near, i] = np.interp(boot_us[near], self.boot_us, column)
-        return out
+        return interpolated(self.boot_us, self.values[:, columns], boot_us)
 
 
 def read_dataflash(path: Path | str, clock: Mode = "auto") -> TelemetryLog:
@@ -164,7 +154,6 @@ def _filter_of(log: Any) -> str:
 
 
 def _receiver(message: Any) -> int:
-    """The number of the receiver that a message is of."""
     return int(message.I) if hasattr(message, "I") else int(message.get_type().endswith("2"))
 
 
@@ -241,16 +230,9 @@ def _table(rows: list[tuple[float, ...]], width: int) -> _Table:
 def _lag_s(gps: _Table, filtered: _Table, clock: GpsClock) -> float:
     """The receiver's delay, by its track against the filter's (POS), with the least delayed report as time so far."""
     good = (gps.values[:, 0] >= WITHOUT_FIX) & (gps.values[:, 2] > 0)
-    times, fixes = gps.boot_us[good], gps.values[good]
-    boot_of_fix_s = np.array(
-        [
-            (boot + unix_ns_of_gps(int(row[2]), int(row[1])) - clock.to_unix_ns(boot)) / 1e9
-            for boot, row in zip((times * 1000).tolist(), fixes, strict=True)
-        ]
-    )
-    metres = METRES_A_DEGREE * np.array([1.0, math.cos(math.radians(float(fixes[0, 4])))])
-    receiver_ne_m, filter_ne_m = ((rows - fixes[0, 4:6]) * metres for rows in (fixes[:, 4:6], filtered.values[:, :2]))
-    return receiver_lag_s(boot_of_fix_s, receiver_ne_m, filtered.boot_us.astype(float) * 1e-6, filter_ne_m)
+    fixes = gps.values[good]
+    unix_ns = [unix_ns_of_gps(int(week), int(ms)) for ms, week in fixes[:, 1:3].tolist()]
+    return receiver_lag_s(clock, gps.boot_us[good], unix_ns, fixes[:, 4:6], (filtered.boot_us, filtered.values[:, :2]))
 
 
 def _known(value: float) -> float | None:

@@ -26,7 +26,6 @@ TIMEOUT_S = 600.0  # of a video of an hour on a slow disk
 
 
 def is_there() -> bool:
-    """Return whether the program is installed."""
     return shutil.which(PROGRAM) is not None
 
 

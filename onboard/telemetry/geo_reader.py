@@ -29,7 +29,6 @@ class GeoPlace:
 
 
 def begins_geo(head: bytes) -> bool:
-    """Return whether a file that begins with `head` is one of these."""
     return _SYSTEM.fullmatch(head.decode("utf-8-sig", "replace").partition("\n")[0]) is not None
 
 

@@ -7,14 +7,19 @@ the receiver's track against the filter's, which has allowed for it.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
 from onboard.clocks.boot_clock import BootClock, Mode
 
 Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Filtered = tuple[Ints, Array]
 
 NS_PER_S = 1_000_000_000
+METRES_A_DEGREE = 111_320.0
 GPS_EPOCH_UNIX_S = 315_964_800  # 1980-01-06
 WEEK_S = 604_800
 # GPS minus UTC, from Unix second on (IERS Bulletin C; none has been announced since 2017).
@@ -71,15 +76,19 @@ class GpsClock:
         return self._clock.segments
 
 
-def receiver_lag_s(reported_s: Array, receiver_ne_m: Array, filter_s: Array, filter_ne_m: Array) -> float:
-    """Return how long, in s, after it was true a receiver's fix is reported.
+def receiver_lag_s(clock: GpsClock, boot_us: Ints, unix_ns: list[int], fixes_deg: Array, filtered: Filtered) -> float:
+    """Return how long, in s, after it was true a receiver's fix is reported, with the least delayed as time so far.
 
-    The receiver's track (N, 2) at the boot times `reported_s` (N,) is compared with the filter's (M, 2) at `filter_s`
-    (M,), both north, east in metres about one place.
-
+    The receiver's track, `fixes_deg` (N, 2), true at `unix_ns` and reported at `boot_us`, is compared with a filter's,
+    boot time in us (M,) and (M, 2); both are latitude, longitude in degrees.
     Least squares for the lag and a constant offset of both tracks, with a prior at the usual values. The estimate stays
     at what is usual where the aircraft did not move, or flew only straight on.
     """
+    metres = METRES_A_DEGREE * np.array([1.0, math.cos(math.radians(float(fixes_deg[0, 0])))])
+    receiver_ne_m, filter_ne_m = ((degrees - fixes_deg[0]) * metres for degrees in (fixes_deg, filtered[1]))
+    pairs = zip((boot_us * 1000).tolist(), unix_ns, strict=True)
+    reported_s = np.array([(boot_ns + true_ns - clock.to_unix_ns(boot_ns)) / 1e9 for boot_ns, true_ns in pairs])
+    filter_s = filtered[0].astype(float) * 1e-6
     lag = LAG_S
     if len(filter_s) < 10:
         return lag

@@ -170,7 +170,6 @@ POSITIONS_ALONE = frozenset({".gpx", ".nmea", ".pos", ".mrk"})
 
 
 def recognised(head: bytes) -> LogFormat | None:
-    """Return the format of a file that begins with `head`; None for one that is not known."""
     return next((each for each in FORMATS if each.begins(head)), None)
 
 

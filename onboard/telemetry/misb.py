@@ -78,7 +78,6 @@ class Sample:
 
     @property
     def width_deg(self) -> float | None:
-        """The horizontal field of view."""
         return self.values.get(WIDTH)
 
     def row(self) -> Row:

@@ -5,6 +5,7 @@ Boxes and tables as ISO 14496-12 has them. Pictures are never read here.
 
 from __future__ import annotations
 
+import os
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -23,6 +24,7 @@ MOST_TABLE = 64_000_000  # bytes of one table, and of one track's samples: an ho
 MOST_SAMPLES = 2_000_000
 MOST_BOXES = 10_000  # among the same
 
+DAMAGED = (OSError, IndexError, ValueError, struct.error)
 Box = tuple[bytes, int, int]  # kind, begin and end of the content
 
 
@@ -40,22 +42,33 @@ class Track:
 
 
 def begins_mp4(head: bytes) -> bool:
-    """Return whether a file that begins with `head` is one of these."""
     return head[4:8] in (b"ftyp", b"moov") or (head[4:8] in (b"wide", b"mdat") and head[:2] == b"\0\0")
+
+
+class _Movie:
+    """The boxes of an open file: what its movie's header holds, and where its tracks are; without a movie nothing."""
+
+    def __init__(self, stream: BinaryIO) -> None:
+        self.stream = stream
+        moov = _first(stream, 0, os.fstat(stream.fileno()).st_size, b"moov")
+        boxes = [] if moov is None else list(_boxes(stream, *moov))
+        self.header = next((_read(stream, (begin, end)) for kind, begin, end in boxes if kind == b"mvhd"), b"")
+        self.hz = _rate_hz(self.header) if self.header else 0.0
+        self.tracks = [(begin, end) for kind, begin, end in boxes if kind == b"trak"]
+
+    def first_picture_s(self) -> float:
+        """Return when the first picture is shown, s."""
+        found = (_shown_from_s(self.stream, *track, self.hz) for track in self.tracks)
+        return next((first_s for first_s in found if first_s is not None), 0.0)
 
 
 def creation_ns(path: Path) -> int | None:
     """Return when a file states that it began, to the second (Unix ns, taken as UTC); None if it does not."""
     try:
         with path.open("rb") as stream:
-            moov = _first(stream, 0, path.stat().st_size, b"moov")
-            header = None if moov is None else _first(stream, *moov, b"mvhd")
-            if header is None:
-                return None
-            stream.seek(header[0])
-            (version,) = struct.unpack(">B3x", stream.read(4))
-            (created_s,) = struct.unpack(">Q", stream.read(8)) if version else struct.unpack(">I", stream.read(4))
-    except (OSError, struct.error):
+            header = _Movie(stream).header
+        (created_s,) = struct.unpack_from(">Q" if header[0] else ">I", header, 4)
+    except DAMAGED:
         return None
     unix_s = int(created_s) + EPOCH_1904_S
     return unix_s * NS_PER_S if MIN_UNIX_S < unix_s < MAX_UNIX_S else None
@@ -65,20 +78,14 @@ def tracks_of(path: Path) -> list[Track]:
     """Return the tracks that are neither pictures nor sound. Damaged ones are left out; of a file that is no such
     container there are none.
     """
-    out: list[Track] = []
     try:
         with path.open("rb") as stream:
-            moov = _first(stream, 0, path.stat().st_size, b"moov")
-            boxes = [] if moov is None else list(_boxes(stream, *moov))
-            movie_hz = next((_rate_hz(_read(stream, (a, b))) for kind, a, b in boxes if kind == b"mvhd"), 0.0)
-            tracks = [(a, b) for kind, a, b in boxes if kind == b"trak"]
-            pictures_s = _first_picture_s(stream, boxes)
-            for content in tracks:
-                if (track := _track(stream, *content, movie_hz, pictures_s)) is not None:
-                    out.append(track)
-    except (OSError, IndexError, struct.error):
-        return out
-    return out
+            movie = _Movie(stream)
+            pictures_s = movie.first_picture_s()
+            found = [_track(stream, *track, movie.hz, pictures_s) for track in movie.tracks]
+    except DAMAGED:
+        return []
+    return [track for track in found if track is not None]
 
 
 def shown_since_first_picture_s(path: Path, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -89,25 +96,15 @@ def shown_since_first_picture_s(path: Path, times_s: NDArray[np.float64]) -> NDA
     """
     try:
         with path.open("rb") as stream:
-            moov = _first(stream, 0, path.stat().st_size, b"moov")
-            boxes = [] if moov is None else list(_boxes(stream, *moov))
-            movie_hz = next((_rate_hz(_read(stream, (a, b))) for kind, a, b in boxes if kind == b"mvhd"), 0.0)
-            edits = [_edits_of_telemetry(stream, a, b, movie_hz) for kind, a, b in boxes if kind == b"trak"]
-            pictures_s = _first_picture_s(stream, boxes)
-    except (OSError, IndexError, KeyError, struct.error):
+            movie = _Movie(stream)
+            edits = [_edits_of_telemetry(stream, *track, movie.hz) for track in movie.tracks]
+            pictures_s = movie.first_picture_s()
+    except (*DAMAGED, KeyError):
         return times_s
     known = [each for each in edits if each is not None]
     if any(each != known[0] for each in known):
         raise ValueError
     return shown_s(times_s, known[0] if known else []) - pictures_s
-
-
-def _edits_of_telemetry(stream: BinaryIO, start: int, end: int, movie_hz: float) -> list[Edit] | None:
-    """The edits of a track that has neither pictures, sound nor time codes; None for one that has."""
-    media = dict(_inside(stream, start, end, b"mdia"))
-    if _read(stream, media[b"hdlr"])[8:12] in (b"vide", b"soun", b"tmcd"):
-        return None
-    return _edits(stream, start, end, movie_hz, _rate_hz(_read(stream, media[b"mdhd"])))
 
 
 def first_picture_s(path: Path) -> float:
@@ -116,18 +113,17 @@ def first_picture_s(path: Path) -> float:
     """
     try:
         with path.open("rb") as stream:
-            moov = _first(stream, 0, path.stat().st_size, b"moov")
-            boxes = [] if moov is None else list(_boxes(stream, *moov))
-            return _first_picture_s(stream, boxes)
-    except (OSError, IndexError, struct.error):
+            return _Movie(stream).first_picture_s()
+    except DAMAGED:
         return 0.0
 
 
-def _first_picture_s(stream: BinaryIO, boxes: list[Box]) -> float:
-    """Return when the first picture is shown, s, by the boxes of a movie."""
-    movie_hz = next((_rate_hz(_read(stream, (a, b))) for kind, a, b in boxes if kind == b"mvhd"), 0.0)
-    found = (_shown_from_s(stream, a, b, movie_hz) for kind, a, b in boxes if kind == b"trak")
-    return next((first_s for first_s in found if first_s is not None), 0.0)
+def _edits_of_telemetry(stream: BinaryIO, start: int, end: int, movie_hz: float) -> list[Edit] | None:
+    """The edits of a track that has neither pictures, sound nor time codes; None for one that has."""
+    media = dict(_inside(stream, start, end, b"mdia"))
+    if _read(stream, media[b"hdlr"])[8:12] in (b"vide", b"soun", b"tmcd"):
+        return None
+    return _edits(stream, start, end, movie_hz, _rate_hz(_read(stream, media[b"mdhd"])))
 
 
 def _shown_from_s(stream: BinaryIO, start: int, end: int, movie_hz: float) -> float | None:

@@ -29,7 +29,6 @@ class _Epoch:
 
 
 def begins_nmea(head: bytes) -> bool:
-    """Return whether a file that begins with `head` is one of these."""
     return _SENTENCE.search(head) is not None
 
 

@@ -38,7 +38,6 @@ class Flight:
 
 
 def is_read(track: Track) -> bool:
-    """Return whether a track is of this version."""
     return track.kind == KIND and DESCRIBED in track.description.lower()
 
 

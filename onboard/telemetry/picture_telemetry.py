@@ -46,7 +46,6 @@ Json = Mapping[str, Any]
 
 
 def is_in(path: Path) -> bool:
-    """Return whether a video has such messages."""
     try:
         with path.open("rb") as stream:
             return MARK in stream.read(NEAR_BYTES)

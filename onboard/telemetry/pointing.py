@@ -28,6 +28,7 @@ from onboard.events.pointing import (
     LookAt,
     Order,
 )
+from onboard.telemetry.flight_modes import COPTERS
 from onboard.telemetry.mavlink_events import AUTOPILOT_COMPONENT
 
 AGAIN_NS = 700_000_000  # after which what is not acknowledged is sent again
@@ -42,10 +43,6 @@ RESULTS = {
 
 
 PLANES = {mavlink.MAV_TYPE_FIXED_WING}
-MULTICOPTERS = {
-    mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_TYPE_COAXIAL, mavlink.MAV_TYPE_HELICOPTER, mavlink.MAV_TYPE_HEXAROTOR,
-    mavlink.MAV_TYPE_OCTOROTOR, mavlink.MAV_TYPE_TRICOPTER, mavlink.MAV_TYPE_DODECAROTOR, mavlink.MAV_TYPE_DECAROTOR,
-}  # fmt: skip
 FRESH_S = 2.0  # the age of the newest height up to which it is the one of now
 
 
@@ -66,7 +63,7 @@ def _command_for(order: Order, kind: int | None) -> _Command | None:
     if kind in PLANES:  # at its own speed; it changes to its guided mode
         flags = float(mavlink.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE)
         return _Command(mavlink.MAV_CMD_DO_REPOSITION, (-1.0, flags, order.radius_m, 0.0))
-    if kind in MULTICOPTERS:  # speed, heading and number of turns are the vehicle's own
+    if kind in COPTERS:  # speed, heading and number of turns are the vehicle's own
         return _Command(mavlink.MAV_CMD_DO_ORBIT, (order.radius_m, math.nan, math.nan, math.nan))
     return None
 

@@ -20,7 +20,6 @@ LEAST = 7  # date, time, latitude, longitude, height, Q, satellites
 
 
 def begins_pos(head: bytes) -> bool:
-    """Return whether a file that begins with `head` is one of these."""
     return _HEADS.search(head.decode("utf-8", "replace")) is not None
 
 

@@ -101,12 +101,10 @@ class _Subtitle:
 
 
 def looks_like_subtitles(head: bytes) -> bool:
-    """Return whether a file that begins with `head` has subtitles."""
     return _INTERVAL.search(head.decode("utf-8", "replace")) is not None
 
 
 def begins_ass(head: bytes) -> bool:
-    """Return whether a file that begins with `head` is a script of subtitles (.ass)."""
     return b"[Script Info]" in head or b"\nDialogue:" in head
 
 

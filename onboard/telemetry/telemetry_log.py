@@ -25,6 +25,7 @@ SIGMA_CREATED_S = 1.0  # of a file's creation time, whole seconds of its camera'
 # Of when a video began, by the positions that lie in it: they come with the pictures of their moment or some time after
 # it, by how much no file states.
 SIGMA_BEGAN_S = 0.5
+MAX_INTERPOLATED_S = 0.3  # over which velocities and rates of an autopilot's log are interpolated
 MAX_GAP_S = 10.0  # positions farther apart are joined by no configuration
 
 
@@ -135,6 +136,19 @@ def with_news(positions: list[PositionFix]) -> list[int]:
             if fix.stamp_ns <= last.stamp_ns or (is_same and fix.stamp_ns - last.stamp_ns < STANDING_NS):
                 continue
         out.append(at)
+    return out
+
+
+def interpolated(boot_us: NDArray[np.int64], values: Array, at_us: NDArray[np.int64]) -> Array:
+    """Values (N, F) of boot times (N,), us, at other ones (M,): (M, F); nan past the ends and within gaps."""
+    out = np.full((len(at_us), values.shape[1]), np.nan)
+    if len(boot_us) < 2:
+        return out
+    right = np.clip(np.searchsorted(boot_us, at_us), 1, len(boot_us) - 1)
+    near = (boot_us[right] - boot_us[right - 1]) * 1e-6 <= MAX_INTERPOLATED_S
+    near &= (at_us >= boot_us[0]) & (at_us <= boot_us[-1])
+    for i, column in enumerate(values.T):
+        out[near, i] = np.interp(at_us[near], boot_us, column)
     return out
 
 

@@ -38,7 +38,6 @@ class Packet:
 
 
 def begins_stream(head: bytes) -> bool:
-    """Return whether a file that begins with `head` is a transport stream."""
     return _stride(head) is not None
 
 

@@ -105,7 +105,6 @@ def _clock_rank(log: TelemetryLog) -> tuple[bool, float]:
 
 
 def _shifted(log: TelemetryLog, by_ns: int) -> TelemetryLog:
-    """The log on another clock."""
     return replace(
         log,
         events=[_event_shifted(event, by_ns) for event in log.events],

@@ -21,7 +21,7 @@ from onboard.clocks.boot_clock import Mode
 from onboard.events.types import Attitude, FilterStatus, GimbalAttitude, GpsQuality, NavEvent, PositionFix, RangeFinder
 from onboard.telemetry.gps_time import GpsClock, receiver_lag_s
 from onboard.telemetry.mavlink_events import AT_REST, FROZEN_GPS_NS, GIMBAL_UNFIT, sensor_direction
-from onboard.telemetry.telemetry_log import TelemetryLog
+from onboard.telemetry.telemetry_log import TelemetryLog, interpolated
 
 Array = NDArray[np.float64]
 
@@ -42,10 +42,8 @@ TOPICS = [
     "camera_capture",
     "camera_trigger",
 ]
-MAX_GAP_S = 0.3  # over which velocities and rates are interpolated
 FIX = 3
 REPORT_US = 200_000
-METRES_A_DEGREE = 111_320.0
 MOST_UTC_US = 2**63 / 1000  # beyond which nanoseconds have no room in 64 bits: of a damaged log
 
 
@@ -82,15 +80,7 @@ class _Topic:
 
     def at(self, boot_us: NDArray[np.int64], values: Array) -> Array:
         """`values` (N, F) of this topic interpolated at other times; nan past the ends and within gaps."""
-        out = np.full((len(boot_us), values.shape[1]), np.nan)
-        if len(self) < 2:
-            return out
-        right = np.clip(np.searchsorted(self.boot_us, boot_us), 1, len(self) - 1)
-        near = (self.boot_us[right] - self.boot_us[right - 1]) * 1e-6 <= MAX_GAP_S
-        near &= (boot_us >= self.boot_us[0]) & (boot_us <= self.boot_us[-1])
-        for i in range(values.shape[1]):
-            out[near, i] = np.interp(boot_us[near], self.boot_us, values[:, i])
-        return out
+        return interpolated(self.boot_us, values, boot_us)
 
 
 def read_ulog(path: Path | str, clock: Mode = "auto", boot_unix_s: float | None = None) -> TelemetryLog:
@@ -169,20 +159,9 @@ def _place(topic: _Topic) -> tuple[Array, Array, Array]:
 
 def _lag_s(gps: _Topic, fixed: NDArray[np.bool_], utc_us: Array, filtered: _Topic, clock: GpsClock) -> float:
     """The receiver's delay, by its track against the filter's, with the least delayed report as time so far."""
-    boot_of_fix_s = np.array(
-        [
-            (boot + unix - clock.to_unix_ns(boot)) / 1e9
-            for boot, unix in zip(
-                (gps.boot_us[fixed] * 1000).tolist(), (utc_us[fixed] * 1000).astype(np.int64).tolist(), strict=True
-            )
-        ]
-    )
-    lat, lon, _ = (values[fixed] for values in _place(gps))
-    metres = METRES_A_DEGREE * np.array([1.0, math.cos(math.radians(float(lat[0])))])
-    receiver_ne_m = (np.stack([lat, lon], -1) - [lat[0], lon[0]]) * metres
-    filter_lat, filter_lon, _ = _place(filtered)
-    filter_ne_m = (np.stack([filter_lat, filter_lon], -1) - [lat[0], lon[0]]) * metres
-    return receiver_lag_s(boot_of_fix_s, receiver_ne_m, filtered.boot_us.astype(float) * 1e-6, filter_ne_m)
+    unix_ns = (utc_us[fixed] * 1000).astype(np.int64).tolist()
+    places, by_filter = (np.stack(_place(topic)[:2], -1) for topic in (gps, filtered))
+    return receiver_lag_s(clock, gps.boot_us[fixed], unix_ns, places[fixed], (filtered.boot_us, by_filter))
 
 
 def _positions(topics: dict[str, _Topic], gps: _Topic, clock: GpsClock) -> list[NavEvent]:
