@@ -131,7 +131,6 @@ class ClickedPixel:
 
     @property
     def is_measured(self) -> bool:
-        """Return whether it has an inverse depth."""
         return self.measured is Measured.MEASURED
 
 

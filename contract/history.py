@@ -91,7 +91,6 @@ class History(Generic[T]):
 
     @property
     def sessions(self) -> list[int]:
-        """The numbers of the sessions of which anything is kept."""
         return list(self._sessions)
 
     def span_ns(self, session: int) -> tuple[int, int] | None:
@@ -106,11 +105,9 @@ class History(Generic[T]):
         return self._sessions.setdefault(session, _Session(session))
 
     def newest_answer(self) -> Entry[T] | None:
-        """The newest set that answers clicks; None if none does."""
         return self._current.newest_answer()
 
     def newest_picture(self) -> Entry[T] | None:
-        """The newest set whether it answers or refuses; None if there is nothing."""
         return self._current.newest_picture()
 
     def newest_entry(self) -> Entry[T] | None:
@@ -118,11 +115,9 @@ class History(Generic[T]):
         return self.newest_answer() or self.newest_picture()
 
     def ordered(self) -> list[Entry[T]]:
-        """All entries, in capture order."""
         return self._current.ordered()
 
     def entry(self, frame: int) -> Entry[T] | None:
-        """The set of a frame with what belongs to it."""
         return self._current.entries.get(frame)
 
     def nearest_entry(self, unix_s: float) -> Entry[T] | None:
@@ -130,14 +125,12 @@ class History(Generic[T]):
         return self._current.nearest(round(unix_s * 1e9))
 
     def newest(self) -> T | None:
-        """The item of `newest_entry`."""
         return _item(self.newest_entry())
 
     def frame(self, frame: int) -> T | None:
         return _item(self.entry(frame))
 
     def nearest(self, unix_s: float) -> T | None:
-        """The item of `nearest_entry`."""
         return _item(self.nearest_entry(unix_s))
 
 

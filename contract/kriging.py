@@ -223,12 +223,10 @@ def distances(a: Array, b: Array) -> Array:
 
 
 def _turned(rows: Array) -> Array:
-    """The transpose (..., N, M) of matrices (..., M, N)."""
     return np.swapaxes(rows, -1, -2)
 
 
 def _outer(a: Array) -> Array:
-    """The products (..., M, M) of every two of (..., M)."""
     return a[..., :, None] * a[..., None, :]
 
 

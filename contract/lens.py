@@ -80,7 +80,6 @@ class Brown(Lens):
 
     @cached_property
     def is_ideal(self) -> bool:
-        """Return whether all coefficients are zero."""
         return not any((self.k1, self.k2, self.p1, self.p2, self.k3))
 
     @cached_property
@@ -176,7 +175,6 @@ class KannalaBrandt(Lens):
 
     @cached_property
     def max_radius(self) -> float:
-        """The tangent of `max_angle`."""
         return math.tan(self.max_angle)
 
     def displacement(self, xy: Array) -> Array:

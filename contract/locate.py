@@ -438,12 +438,10 @@ def _curvature(by_cause: Array, by_depth: Array, causes: Array) -> Array:
 
 
 def _joined(one: _Clicks, two: _Clicks) -> _Clicks:
-    """The clicks of both."""
     return _Clicks(*(np.concatenate(pair) for pair in zip(vars(one).values(), vars(two).values(), strict=True)))
 
 
 def _with_one(xy: Array) -> Array:
-    """(x, y, 1) of each (x, y), (M, 3)."""
     return np.concatenate([xy, np.ones((len(xy), 1))], axis=1)
 
 

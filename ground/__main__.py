@@ -47,7 +47,6 @@ class Parser(argparse.ArgumentParser):
     """Wrong usage is one line, as every other error."""
 
     def error(self, message: str) -> NoReturn:
-        """Print the line and exit with 2."""
         self.exit(
             WRONG_USAGE,
             f"{PROGRAM}: error: {in_usage(' '.join(message.split()), options_of(self))} (see {self.prog} --help)\n",

@@ -8,12 +8,12 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
-from types import TracebackType
 from typing import Any
 
 import zenoh
 
 from contract.answer import EXPLANATIONS, Refusal
+from contract.closing import Closing
 from contract.errors import ForeignMessage, LinkError, WireError
 from contract.feature_set import FeatureSet, Status
 from contract.history import Entry
@@ -218,7 +218,7 @@ def ask(
     return {name: reply.answer for name, reply in replies.items()}
 
 
-class SetCache:
+class SetCache(Closing):
     """Subscribes to the sets of one or all vehicles and keeps the last ones, by vehicle, frame and time.
 
     Thread-safe. `dropped` counts what was no set, or named another vehicle than its key. A peer session, which
@@ -257,7 +257,6 @@ class SetCache:
 
     @property
     def vehicles(self) -> list[str]:
-        """The vehicles of which something was received, sorted."""
         with self._lock:
             return sorted(self._vehicles)
 
@@ -267,7 +266,6 @@ class SetCache:
             return None if (held := self._vehicles.get(vehicle)) is None else held.history.newest()
 
     def by_frame(self, vehicle: str, frame: int) -> FeatureSet | None:
-        """The set of a frame at its latest revision."""
         with self._lock:
             return None if (held := self._vehicles.get(vehicle)) is None else held.history.frame(frame)
 
@@ -377,12 +375,6 @@ class SetCache:
             session, self._session, self._subscribers = self._session, None, []
         self._renewal.close()
         _close(session)
-
-    def __enter__(self) -> SetCache:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.close()
 
     def _subscribe(self) -> None:
         """Open a session where there is none. Raises LinkError."""

@@ -19,9 +19,9 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from urllib.parse import urlsplit
 
+from contract.closing import Closing
 from contract.errors import InputError, LinkError
 
 CONNECT_TIMEOUT_S = 10.0
@@ -75,7 +75,7 @@ class Target:
         return cls(parts.scheme, host, port, ca, certificate, key, ttl, option)
 
 
-class CotSender:
+class CotSender(Closing):
     """Sends events; a stream that broke is opened again by `connect`, and `ended` states why the last one did."""
 
     def __init__(self, target: Target) -> None:
@@ -133,7 +133,6 @@ class CotSender:
             raise LinkError(f"{self._name} {self.ended}")
 
     def close(self) -> None:
-        """`finish`, whatever the server does."""
         with contextlib.suppress(LinkError):
             self.finish()
 
@@ -168,12 +167,6 @@ class CotSender:
             with contextlib.suppress(OSError):
                 self._socket.close()
             self._socket = None
-
-    def __enter__(self) -> CotSender:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.close()
 
     @property
     def _name(self) -> str:

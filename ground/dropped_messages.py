@@ -31,14 +31,12 @@ class DroppedMessages:
             self.last_error = error
 
     def not_accepted(self, reason: str) -> None:
-        """A message that was left out for this reason."""
         with self._lock:
             is_room = reason in self._reasons or len(self._reasons) < MOST_REASONS
             self._reasons[reason if is_room else OTHERS] += 1
 
     @property
     def count(self) -> int:
-        """The number of messages that were not accepted, for whatever reason."""
         with self._lock:
             return self._reasons.total()
 

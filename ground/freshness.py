@@ -108,5 +108,4 @@ def too_old(age_s: float | None, max_age_s: float) -> str:
 
 
 def aged(answer: Answer, age_s: float | None) -> Answer:
-    """An answer with the age of its picture."""
     return replace(answer, age_s=age_s)

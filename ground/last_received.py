@@ -32,7 +32,6 @@ class LastReceived(Generic[T]):
         return held
 
     def get(self, vehicle: str) -> T | None:
-        """Return the value of a vehicle; None if it is not there."""
         return self._held.get(vehicle)
 
     def __contains__(self, vehicle: str) -> bool:

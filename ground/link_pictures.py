@@ -79,7 +79,6 @@ class PictureCache:
 
     @property
     def incomplete(self) -> int:
-        """Pictures of which too many pieces were lost."""
         with self._lock:
             return self._assembly.incomplete
 

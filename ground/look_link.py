@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import zenoh
 
+from contract.closing import Closing
 from contract.errors import LinkError
 from contract.link_config import Tls
 from contract.look import (
@@ -30,7 +30,7 @@ WITHOUT_TLS = (
 )
 
 
-class LookLink:
+class LookLink(Closing):
     """A session with one aircraft: `vehicle`, or the only one there is. `name` is our certificate's.
 
     Raises LinkError. What is asked raises RequestRefused with the aircraft's reason, LinkError if it gives no answer.
@@ -77,11 +77,4 @@ class LookLink:
         return answer
 
     def close(self) -> None:
-        """Leave the link."""
         self._session.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.close()

@@ -7,10 +7,10 @@ import errno
 import random
 import socket
 import time
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 from contract.answer import Answer
+from contract.closing import Closing
 from contract.errors import CorruptPayload, InputError, LinkError
 from contract.wire.click_code import MAX_NUMBER, TUNNEL_TYPE, ClickQuestion, turned_away
 from contract.wire.radio_state import read_state
@@ -67,7 +67,7 @@ class NumberRefused(LinkError):
     """An aircraft takes nothing under our system number: there is no use in asking again."""
 
 
-class MavlinkLink:
+class MavlinkLink(Closing):
     """Opened at once. Raises InputError without the library, LinkError where the endpoint cannot be opened."""
 
     def __init__(self, endpoint: MavlinkEndpoint) -> None:
@@ -117,12 +117,6 @@ class MavlinkLink:
 
     def close(self) -> None:
         self._wire.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.close()
 
     def _find_vehicle(self) -> int:
         """The vehicle that is asked. Raises LinkError if there is none, or several."""

@@ -21,7 +21,6 @@ def pc_onboard() -> str:
 
 
 def unused_port() -> int:
-    """A port of this machine's at which nothing listens."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])

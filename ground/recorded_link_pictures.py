@@ -43,7 +43,6 @@ class RecordedLinkPictures:
         return None
 
     def frames(self, vehicle: str, session: int) -> set[int]:
-        """The frames of whose picture enough is there."""
         return {
             frame
             for (name, of, frame), wholes in self._found.items()

@@ -100,11 +100,9 @@ class Recording:
 
     @property
     def vehicles(self) -> list[str]:
-        """Names of the vehicles that published, sorted."""
         return sorted(self._index.sets)
 
     def frames(self, vehicle: str) -> list[int]:
-        """The frames of a vehicle that have a set, ascending."""
         return sorted(self._index.sets[vehicle])
 
     def rows(self, vehicle: str) -> list[tuple[int, int, int, Status]]:
@@ -113,7 +111,6 @@ class Recording:
         return [(h.frame, h.revision, h.capture_unix_ns, h.status) for h in held]
 
     def by_frame(self, vehicle: str, frame: int) -> FeatureSet | None:
-        """The set of a frame at its latest revision."""
         return self._decoded(self._index.sets[vehicle].get(frame))
 
     def age_s(self, feature_set: FeatureSet) -> float:

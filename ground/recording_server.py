@@ -6,9 +6,9 @@ import signal
 import subprocess
 import threading
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
+from contract.closing import Closing
 from contract.errors import LinkError
 from contract.feature_set import FeatureSet
 from contract.tied_process import tied
@@ -21,7 +21,7 @@ START_S = 30.0  # until a long recording has been looked through
 END_S = 5.0
 
 
-class RecordingServer:
+class RecordingServer(Closing):
     """`pc-onboard serve` of one recording, for this process and as long as it lives. Thread-safe; a context manager.
 
     To be made in a thread that lives as long: the program ends with it. Raises InputError where it is not installed.
@@ -61,12 +61,6 @@ class RecordingServer:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.close()
 
     def _link(self) -> Any:
         with self._lock:

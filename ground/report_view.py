@@ -32,7 +32,6 @@ class ReportView(ABC, Generic[T]):
         self.received([(came_ns, report) for report in self.payload.found(key, payload)])
 
     def read(self, recording: Recording, vehicles: Iterable[str]) -> None:
-        """Take what a recording holds of these vehicles."""
         self.received(recording.received(self.payload, vehicles))
 
 

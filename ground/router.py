@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import zenoh
 
+from contract.closing import Closing
 from contract.errors import LinkError
 from contract.fleet import Fleet
 from contract.link_config import EVERY_MESSAGE, GROUND_REGION, Tls, link_config
@@ -109,7 +109,7 @@ def _thinned(fleet: Fleet) -> dict[str, Any]:
     }
 
 
-class Router:
+class Router(Closing):
     """A router that runs until it is closed. Raises LinkError if it cannot: the reason names port or file."""
 
     def __init__(self, fleet: Fleet, folder: Path) -> None:
@@ -133,12 +133,6 @@ class Router:
 
     def close(self) -> None:
         self._session.close()
-
-    def __enter__(self) -> Router:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.close()
 
 
 def _opened(fleet: Fleet, config: dict[str, Any]) -> Any:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import queue
 import time
-from types import TracebackType
 from typing import Any
 
 import zenoh
 
+from contract.closing import Closing
 from contract.errors import LinkError, WireError
 from contract.link_config import Tls
 from contract.topics import FOLLOW, TRACKS
@@ -22,7 +22,7 @@ ASK_AGAIN_S = 5.0  # which session runs, where reports of another come
 TRIES = 3  # a question to begin the same track again is answered with the same track
 
 
-class TrackLink:
+class TrackLink(Closing):
     """A session with one aircraft: `vehicle`, or the only one there is. Raises LinkError."""
 
     def __init__(self, endpoint: str, vehicle: str | None, tls: Tls | None = None) -> None:
@@ -68,14 +68,7 @@ class TrackLink:
         return None
 
     def close(self) -> None:
-        """Leave the link; tracks go on without us."""
         self._session.close()
-
-    def __enter__(self) -> TrackLink:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.close()
 
     def _receive(self, sample: zenoh.Sample) -> None:
         """Queue a message's reports, called in zenoh's thread; the oldest go where the queue is full."""

@@ -114,7 +114,6 @@ class CameraClicks(WokenWork):
             return True
 
     def answers(self) -> list[Answered]:
-        """The answers since the last call."""
         with self._changed:
             out = list(self._answered)
             self._answered.clear()

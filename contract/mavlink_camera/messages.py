@@ -98,7 +98,6 @@ class CameraFacts:
         )  # fmt: skip
 
     def settings(self, now_ns: int) -> Any:
-        """CAMERA_SETTINGS."""
         return self.dialect.MAVLink_camera_settings_message(self.time_ms(now_ns), VIDEO_MODE, NAN, NAN)
 
     def stream_information(self, stream: Stream) -> Any:
@@ -109,7 +108,6 @@ class CameraFacts:
         )  # fmt: skip
 
     def stream_status(self) -> Any:
-        """VIDEO_STREAM_STATUS."""
         return self.dialect.MAVLink_video_stream_status_message(
             1, RUNNING, self.rate_hz, self.camera.width_px, self.camera.height_px, 0,
             0, self._hfov(),

@@ -21,7 +21,6 @@ class StatusTexts:
         self._number = 0
 
     def add(self, severity: int, text: str) -> None:
-        """Have a text shown: 100 characters at most, with a MAV_SEVERITY."""
         self._texts.append((severity, text[: MAX_CHUNKS * CHUNK_LENGTH]))
 
     def due(self, now_ns: int) -> list[Any]:

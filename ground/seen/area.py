@@ -35,7 +35,6 @@ class Sector:
 
     @property
     def rings(self) -> list[Array]:
-        """All of them, as they are shown."""
         return [ring for polygon in self.polygons for ring in polygon]
 
 

@@ -52,7 +52,6 @@ class Detection:
     shares: Sequence[tuple[float, float]] = ()  # of each picture that was searched: median sample distance (m), share
 
     def of(self, who: str) -> Array | None:
-        """The probabilities by `machine` or `operator`."""
         return self.machine if who == "machine" else self.operator
 
 

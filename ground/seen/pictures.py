@@ -54,7 +54,6 @@ class Pictures:
 
     @property
     def forgotten(self) -> int:
-        """The number of pictures that were added and are not held any more."""
         return self._next - len(self._number)
 
     def knows(self, key: Key, capture_unix_ns: int) -> bool:

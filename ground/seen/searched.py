@@ -83,7 +83,6 @@ def sector_lines(sector: SectorDetection, below: float) -> dict[str, str]:
 
 
 def gap_dict(gap: Gap) -> dict[str, float]:
-    """A gap's area and a place in it, for JSON."""
     return {"area_m2": round(gap.area_m2, 1), "lat_deg": round(gap.lat_deg, 7), "lon_deg": round(gap.lon_deg, 7)}
 
 

@@ -224,7 +224,6 @@ class _Grid:
         return out
 
     def seen(self, regions: Sequence[_Region]) -> Mask:
-        """The cells of regions as they are."""
         return self.union([self.cells(region, 0.0) for region in regions])
 
     def perhaps(self, held: Sequence[_Region]) -> Mask:

@@ -102,5 +102,4 @@ class FoundThing:
 
     @property
     def course_text(self) -> str:
-        """The course in words; "speed not known" without one."""
         return "speed not known" if self.course is None else self.course.to_text()

@@ -59,7 +59,6 @@ class _Thing:
 
     @property
     def has_moved(self) -> bool:
-        """True if it has moved in any of the sessions."""
         return any(self._has_moved_in(session) for session in self.still)
 
     def _has_moved_in(self, session: Session) -> bool:

@@ -118,7 +118,6 @@ class ReceivedSpots(ReportView[SpotReport]):
             return self._version, self._merger.things(changed)
 
     def thing(self, number: int) -> FoundThing | None:
-        """The thing of a number; None if there is none."""
         with self._lock:
             return next(iter(self._merger.things({number})), None)
 
@@ -129,7 +128,6 @@ class ReceivedSpots(ReportView[SpotReport]):
         return held.fire(minutes)
 
     def things(self) -> list[FoundThing]:
-        """All, by number."""
         with self._lock:
             return self._merger.things()
 

@@ -71,7 +71,6 @@ class Model:
 
     @property
     def parameters(self) -> tuple[str, ...]:
-        """All that a camera of this lens has."""
         return ("fx", "fy", "cx", "cy", *LENSES[self.lens].names)
 
     @property
@@ -106,7 +105,6 @@ class Fit:
 
     @property
     def view_rms_px(self) -> Array:
-        """The same, a view each."""
         return np.array([_rms(r) for r in self.residuals_px])
 
     @property

@@ -33,7 +33,6 @@ LENS = ("camera_model", "intrinsics")
 
 
 def is_kalibr(content: object) -> bool:
-    """Return whether it is a camchain or a sensor.yaml."""
     return bool(_cameras(content))
 
 

@@ -42,7 +42,6 @@ ROS_FISHEYES = ("equidistant", "fisheye", "kannala_brandt")
 
 
 def is_ros(content: object) -> bool:
-    """Return whether it is a camera_info."""
     return isinstance(content, dict) and "distortion_model" in content and "camera_model" not in content
 
 

@@ -75,7 +75,6 @@ def stable_name(path: str) -> str:
 
 
 def device_line(device: str) -> str:
-    """Return the line to write under [camera] in the configuration."""
     return f"device = {json.dumps(device)}"
 
 

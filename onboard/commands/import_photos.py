@@ -98,7 +98,6 @@ class _Times:
 
     @property
     def sigma_s(self) -> float:
-        """One sigma of a single stamp."""
         return WHOLE_SECOND_S if self.is_whole else SIGMA_STAMP_S
 
     def moved(self, offset_s: float) -> _Times:

@@ -319,7 +319,6 @@ class WholeRecording:
         self._recorder.write_report(SPOTS, report.capture_unix_ns, encode_spots(report))
 
     def second_picture(self, frame: Frame) -> None:
-        """Record a picture of the second camera."""
         self._recorder.write_second_picture(frame)
 
     def feature_set(self, output: FeatureSet) -> None:

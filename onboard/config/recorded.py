@@ -9,7 +9,6 @@ from onboard.config.schema import Config, to_toml
 
 
 def recorded_toml(config: Config) -> str:
-    """Return what `to_toml` does, without secrets."""
     return to_toml(Config.model_validate(_without_secrets(config.model_dump())))
 
 

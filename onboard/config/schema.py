@@ -142,7 +142,6 @@ class CameraConfig(Section):
 
     @property
     def is_rolling(self) -> bool:
-        """True if rows are, or may be, exposed one after the other."""
         return self.readout_s != 0.0 or self.sigma_readout_s > 0.0
 
 

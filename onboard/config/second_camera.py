@@ -38,7 +38,6 @@ class SecondCamera(Section):
 
     @property
     def is_stated(self) -> bool:
-        """True if there is a second camera, here or in a recording."""
         return self.file is not None
 
     @property

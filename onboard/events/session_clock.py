@@ -28,7 +28,6 @@ class SessionClock:
         return monotonic_ns + self.offset_ns
 
     def now_ns(self) -> int:
-        """Now, on the session's clock."""
         return time.monotonic_ns() + self.offset_ns
 
     def host_step_s(self) -> float:

@@ -100,5 +100,4 @@ def is_all_in_reach(uv_px: Array, size_px: tuple[int, int]) -> bool:
 
 
 def corners_of(size_px: tuple[int, int]) -> Array:
-    """The outermost pixels of a picture (4, 2)."""
     return np.array([(u, v) for u in (0.0, size_px[0] - 1.0) for v in (0.0, size_px[1] - 1.0)])

@@ -14,11 +14,11 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from types import TracebackType
 from typing import Self
 
 import zenoh
 
+from contract.closing import Closing
 from contract.errors import LinkError
 from contract.feature_set import FeatureSet, Status
 from contract.history import History
@@ -123,7 +123,7 @@ class _Message:
     put: Callable[[], object]
 
 
-class Publisher:
+class Publisher(Closing):
     """Publishes one vehicle's sets and status, and answers queries on the same keys. A Sink (`onboard.replay.runner`).
 
     For the daemon: `Publisher.open(config)` is one of the sinks; hand each encoded status to `publish_status`. Sets may
@@ -316,7 +316,6 @@ class Publisher:
             self._set_clock.arrived(arrival_ns, time.monotonic_ns())
 
     def feature_set(self, output: FeatureSet) -> None:
-        """`publish`, as a sink."""
         self.publish(output)
 
     def close(self) -> None:
@@ -327,12 +326,6 @@ class Publisher:
             self._wake()
         self.thread.join(5.0)
         self._session.close()  # type: ignore[no-untyped-call]
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.close()
 
     def _wake(self) -> None:
         self._has_news = True

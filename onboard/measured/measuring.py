@@ -190,5 +190,4 @@ def _misfits(patch: Patch, views: Sequence[View], found: _Swept, usable: NDArray
 
 
 def _means(values: Values, masks: Array) -> Array:
-    """Means (U, 1) of values (225,) or (U, 225) over each mask."""
     return np.asarray((masks * values).sum(axis=1, keepdims=True) / masks.sum(axis=1, keepdims=True), float)

@@ -107,7 +107,6 @@ def _view(asked: FeatureSet, image: Grey, other: Pictured, features: Features) -
 
 
 def identity(of: FeatureSet) -> tuple[int, int]:
-    """Frame and revision."""
     return of.frame, of.revision
 
 

@@ -74,7 +74,6 @@ class Features:
         return np.concatenate([np.ones((len(self.rays), 1)), self.rays[:, :2]], axis=1)
 
     def only(self, rows: NDArray[np.intp]) -> Features:
-        """Return some of them."""
         return replace(
             self,
             uv_px=self.uv_px[rows], rays=self.rays[rows], inverse_depth_per_m=self.inverse_depth_per_m[rows],

@@ -272,7 +272,6 @@ class Pipeline:
 
     @property
     def _offset_s(self) -> float:
-        """Camera-to-autopilot time offset as it is known now."""
         return self.window.times_s()[0]
 
     def _moment_ns(self, stamp_ns: int) -> int:

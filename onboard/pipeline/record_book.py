@@ -49,7 +49,6 @@ class Record:
         self.seen = seen_with(camera, self.seen, readout_s)
 
     def remember(self, placed: Placed) -> None:
-        """Remember where the picture was placed, for its next revision."""
         self.placed = placed
 
     def answer(self, feature_set: FeatureSet) -> None:

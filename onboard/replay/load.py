@@ -42,12 +42,10 @@ class Load:
 
     @property
     def picture_ms(self) -> float:
-        """Processor time of one picture, both threads."""
         return sum(self.stage_ms.values())
 
     @property
     def rate_hz(self) -> float:
-        """Pictures a second of the flight."""
         return self.pictures / self.seconds if self.seconds else 0.0
 
     @property

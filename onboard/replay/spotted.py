@@ -51,7 +51,6 @@ class Spotted:
         self._looking.event(event)
 
     def feature_set(self, output: FeatureSet) -> None:
-        """The next pictures, if they are due."""
         self._look(self._looking.feature_set(output))
 
     def _second_picture(self, frame: Frame) -> None:

@@ -217,5 +217,4 @@ class Daemon:
         return True
 
     def _finish(self) -> bool:
-        """End the session; return whether it ended cleanly and in time."""
         return self._session.finish(FINISH_S)

@@ -77,11 +77,9 @@ class LiveRates:
         return None if came_ns is None else (now_ns - came_ns) / 1e9
 
     def camera_hz(self, now_ns: int) -> float:
-        """Pictures a second."""
         return self._rate_hz(self._came_ns, now_ns)
 
     def ok_hz(self, now_ns: int) -> float:
-        """Pictures a second that can be clicked."""
         return self._rate_hz(self._answered_ns, now_ns)
 
     def _rate_hz(self, moments_ns: deque[int], now_ns: int) -> float:

@@ -111,7 +111,6 @@ class MeasureThread(QuestionThread):
         self._held = WaitingPictures(MAX_HELD)  # touched by the pipeline's thread alone
 
     def event(self, arrival_ns: int, event: Event) -> None:
-        """Keep a picture until its set comes."""
         self._held.event(event)
 
     def feature_set(self, output: FeatureSet) -> None:

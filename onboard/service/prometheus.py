@@ -212,7 +212,6 @@ class PrometheusServer:
 
     @property
     def port(self) -> int:
-        """The port on which it listens: the configured one, or the one that was given for 0."""
         return int(self._server.server_port)
 
     def show(self, report: Report) -> None:

@@ -110,7 +110,6 @@ class Report:
     radio: RadioReport | None = None  # the autopilot's, where link.mavlink is on
 
     def estimate(self, name: str) -> Estimate | None:
-        """One of the estimates; None while there is none of that name."""
         return next((e for e in self.estimates if e.name == name), None)
 
     def to_json(self) -> bytes:

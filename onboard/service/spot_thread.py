@@ -55,7 +55,6 @@ class SpotThread(WokenWork):
             self._due(self._looking.feature_set(output))
 
     def second_picture(self, frame: Frame) -> None:
-        """A picture of the second camera."""
         with self._changed:
             self._due(self._looking.second_picture(frame))
 

@@ -21,7 +21,6 @@ class CountedGround:
 
     @property
     def km2(self) -> float:
-        """The area of the ground that has been counted."""
         return sum(area for _, area in self._pictures)
 
     def is_new(self, place_m: Array, area_km2: float) -> bool:

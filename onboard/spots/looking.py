@@ -76,7 +76,6 @@ class OneCamera:
         return [] if frame is None else [lambda: self._book.picture(frame, output)]
 
     def second_picture(self, frame: Frame) -> list[Look]:
-        """There is no second camera."""
         return []
 
 
@@ -93,7 +92,6 @@ class TwoCameras:
 
     @property
     def mount(self) -> Mount:
-        """The mount of the second camera as estimated now."""
         return self._mount.mount
 
     def begin_again(self) -> None:

@@ -68,7 +68,6 @@ class SpotBook:
 
     @property
     def thresholds(self) -> dict[float, float]:
-        """Those of its detector."""
         return self._detector.thresholds
 
     def picture(self, frame: Frame, its_set: FeatureSet, pointing: Pointing | None = None) -> SpotReport | None:

@@ -94,7 +94,6 @@ class RecordedFlight:
 
     @property
     def content(self) -> str:
-        """The content in one line: the number of messages of each kind."""
         return ", ".join(f"{count} {name}" for name, count in sorted(self.counts.items())) or "nothing"
 
     @property

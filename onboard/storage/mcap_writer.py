@@ -11,7 +11,6 @@ import io
 import os
 from collections.abc import Callable
 from pathlib import Path
-from types import TracebackType
 
 import cv2
 import numpy as np
@@ -19,6 +18,7 @@ from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
 from contract import recording_format as names
+from contract.closing import Closing
 from contract.errors import InputError
 from contract.feature_set import FeatureSet
 from contract.secrets import new_recording
@@ -49,7 +49,7 @@ def encode_picture(image: NDArray[np.uint8] | NDArray[np.uint16], pictures: str)
     return encoded.tobytes(), "jpeg" if pictures == "jpeg" else "png"
 
 
-class SessionRecorder:
+class SessionRecorder(Closing):
     """Writes events, sets and status of one vehicle to `path`, replacing what was there.
 
     The file appears with the first thing written, so that input which is refused before leaves nothing behind.
@@ -123,7 +123,6 @@ class SessionRecorder:
             )
 
     def write_second_picture(self, frame: Frame) -> None:
-        """Record a picture of the second camera, if pictures are recorded."""
         if self._pictures != "none":
             self._write_frame(frame, frame.stamp_ns, names.SECOND_CAMERA)
 
@@ -223,12 +222,6 @@ class SessionRecorder:
                 os.truncate(self.path, self._whole_bytes)
             elif self.path.is_file():
                 self.path.unlink()
-
-    def __enter__(self) -> SessionRecorder:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.close()
 
     def _failure(self, error: OSError) -> InputError:
         return InputError(f"recording {self.path}: {error.strerror}")

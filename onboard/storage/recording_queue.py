@@ -78,7 +78,6 @@ class Entry:
     write: Write
 
     def missing(self, reason: str) -> Gap:
-        """The gap that it leaves."""
         return Gap(self.stamp_ns, self.stamp_ns, reason, {self.kind: 1})
 
 

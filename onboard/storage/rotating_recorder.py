@@ -146,15 +146,12 @@ class Recorded:
             self._put(Entry(EVENTS.many, arrival_ns, 0, lambda file: file.write_event(event, arrival_ns)))
 
     def second_picture(self, frame: Frame) -> None:
-        """Record a picture of the second camera; never waits."""
         self._put(Entry(PICTURES.many, frame.stamp_ns, _held_bytes(frame), lambda f: f.write_second_picture(frame)))
 
     def feature_set(self, output: FeatureSet) -> None:
-        """Record a set; never waits."""
         self._put(Entry(counted(FEATURES).many, output.capture_unix_ns, 0, lambda file: _write_set(file, output)))
 
     def report(self, topic: Topic, stamp_ns: int, payload: bytes) -> None:
-        """Record a report of the link; never waits."""
         self._put(Entry(counted(topic).many, stamp_ns, 0, lambda file: file.write_report(topic, stamp_ns, payload)))
 
     def _now_s(self) -> float:

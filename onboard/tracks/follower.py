@@ -135,7 +135,6 @@ class Follower:
         return bool(self._looks)
 
     def is_lost(self, seen: Seen) -> bool:
-        """Return whether it has not been seen for longer than LOST_AFTER_S."""
         return self.unseen_s(seen) > LOST_AFTER_S
 
     def unseen_s(self, seen: Seen) -> float:

@@ -108,11 +108,9 @@ class Pictures:
         return seen.its_set is not None and seen.frame not in self._kept
 
     def clear(self) -> None:
-        """Keep none."""
         self._seen.clear()
 
     def by_frame(self, frame: int) -> Seen | None:
-        """None if it is not kept."""
         return next((seen for seen in self._seen if seen.frame == frame), None)
 
     def join(self) -> None:

@@ -27,7 +27,6 @@ class TrackBook:
 
     @property
     def numbers(self) -> tuple[int, ...]:
-        """The tracks that have not been lost."""
         return tuple(n for n, track in self._tracks.items() if not track.is_lost)
 
     @property

@@ -149,7 +149,6 @@ class Tracker:
 
     @property
     def has_keyframe(self) -> bool:
-        """True if there is a picture to track against."""
         return self._picture is not None
 
     @property
