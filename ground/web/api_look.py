@@ -9,20 +9,19 @@ from dataclasses import asdict
 from typing import Any
 
 from fastapi import APIRouter
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from contract.answer import Fix
 from contract.circular_error import ce90_m
 from contract.errors import LinkError
 from contract.look import AskCircle, AskLook, ConfirmLook, EndLook, Offer
 from ground.web.api_vehicles import ClickBody
-from ground.web.dependency import Context
+from ground.web.dependency import Body, Context
 
 
-class VehicleBody(BaseModel):
+class VehicleBody(Body):
     """One aircraft."""
 
-    model_config = ConfigDict(extra="forbid")
     vehicle: str = Field(max_length=200)
 
 

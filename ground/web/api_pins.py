@@ -9,7 +9,7 @@ from datetime import datetime
 from typing import Annotated, Any
 
 from fastapi import APIRouter, BackgroundTasks, HTTPException, Query, Response
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from contract.answer import Fix
 from ground.formats.imported import unix_ns_of
@@ -19,14 +19,13 @@ from ground.pins.ties import TieRefused, tie_of
 from ground.web.api_vehicles import ClickBody, answer_json
 from ground.web.clicks import Clicked
 from ground.web.context import ServerContext
-from ground.web.dependency import Context
+from ground.web.dependency import Body, Context
 from ground.web.pin_json import tie_json, vector_json
 
 
-class NewPin(BaseModel):
+class NewPin(Body):
     """A pin at a click, or at a coordinate that was entered."""
 
-    model_config = ConfigDict(extra="forbid")
     click: ClickBody | None = None
     lat_deg: float | None = Field(default=None, ge=-90, le=90)
     lon_deg: float | None = Field(default=None, ge=-180, le=180)
@@ -46,20 +45,18 @@ class MoreClick(ClickBody):
     anyway: bool = False
 
 
-class Edit(BaseModel):
+class Edit(Body):
     """Changes to a pin; a field left out stays as it is."""
 
-    model_config = ConfigDict(extra="forbid")
     name: str | None = Field(default=None, max_length=MAX_NAME)
     note: str | None = Field(default=None, max_length=MAX_NOTE)
     category: Category | None = None
     who: str = Field(default="", max_length=MAX_WHO)
 
 
-class NewTie(BaseModel):
+class NewTie(Body):
     """A click on a place whose coordinate is known, WGS84. Sigmas are one sigma."""
 
-    model_config = ConfigDict(extra="forbid")
     click: ClickBody
     lat_deg: float = Field(ge=-90, le=90)
     lon_deg: float = Field(ge=-180, le=180)
@@ -71,10 +68,9 @@ class NewTie(BaseModel):
     who: str = Field(default="", max_length=MAX_WHO)
 
 
-class Who(BaseModel):
+class Who(Body):
     """The name of the person who makes a change."""
 
-    model_config = ConfigDict(extra="forbid")
     who: str = Field(default="", max_length=MAX_WHO)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 from fastapi import APIRouter, HTTPException, Path, Query, Response
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from contract.circular_error import ce90_m
 from ground.formats import fire_area
@@ -13,24 +13,22 @@ from ground.pins.machine import click_of, decision, decisions
 from ground.pins.model import MAX_NAME, MAX_WHO, Category, Pin
 from ground.spots.found_thing import FoundThing
 from ground.web.context import NotThere, ServerContext
-from ground.web.dependency import Context
+from ground.web.dependency import Body, Context
 
 Number = Annotated[int, Path(ge=1, le=10**9)]
 
 
-class Confirmed(BaseModel):
+class Confirmed(Body):
     """The pin that a person makes of a found thing."""
 
-    model_config = ConfigDict(extra="forbid")
     name: str = Field(default="", max_length=MAX_NAME)
     category: Category = Category.POI
     who: str = Field(default="", max_length=MAX_WHO)
 
 
-class Dismissed(BaseModel):
+class Dismissed(Body):
     """The name of the person who states that a found thing is nothing."""
 
-    model_config = ConfigDict(extra="forbid")
     who: str = Field(default="", max_length=MAX_WHO)
 
 

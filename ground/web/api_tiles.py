@@ -5,20 +5,19 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 from fastapi import APIRouter
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from contract.errors import InputError
 from ground.web.context import ServerContext
-from ground.web.dependency import Context
+from ground.web.dependency import Body, Context
 from ground.web.tile_area import TileArea, View, why_no_area
 
 Degrees = Annotated[float, Field(ge=-720.0, le=720.0, allow_inf_nan=False)]
 
 
-class AreaBody(BaseModel):
+class AreaBody(Body):
     """The map's bounds, and the zoom of its tiles."""
 
-    model_config = ConfigDict(extra="forbid")
     west: Degrees
     south: Degrees
     east: Degrees

@@ -8,7 +8,7 @@ import time
 from typing import Annotated, Any
 
 from fastapi import APIRouter, HTTPException, Path, Query, Request, Response
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from contract.answer import EXPLANATIONS, Fix
 from contract.circular_error import ce90_m
@@ -19,7 +19,7 @@ from ground.pins.fusion import Place
 from ground.web.advice import ADVICE
 from ground.web.clicks import Clicked
 from ground.web.context import ServerContext
-from ground.web.dependency import Context
+from ground.web.dependency import Body, Context
 from ground.web.pin_json import method_json, place_json
 from ground.web.source import FrameRow, VehicleReport
 from ground.web.view import camera_place, frame_view
@@ -36,10 +36,9 @@ Session = Annotated[
 ]
 
 
-class ClickBody(BaseModel):
+class ClickBody(Body):
     """One pixel of one picture. Pixel (0, 0) is the centre of the camera's top left pixel."""
 
-    model_config = ConfigDict(extra="forbid")
     vehicle: str = Field(max_length=200)
     frame: int = Field(ge=0, le=MAX_FRAME)
     u: float = Field(ge=-1e6, le=1e6, allow_inf_nan=False)
@@ -155,14 +154,7 @@ def _before(context: ServerContext, found: FeatureSet) -> list[FeatureSet]:
 
 
 def row_json(row: FrameRow) -> dict[str, Any]:
-    return {
-        "session": row.session,
-        "frame": row.frame,
-        "revision": row.revision,
-        "status": row.status.value,
-        "capture_unix_ns": str(row.capture_unix_ns),
-        "has_picture": row.has_picture,
-    }
+    return {**vars(row), "status": row.status.value, "capture_unix_ns": str(row.capture_unix_ns)}
 
 
 def vehicle_json(context: ServerContext, vehicle: str) -> dict[str, Any]:

@@ -1,10 +1,11 @@
-"""The server context as routes get it: a parameter of the type Context."""
+"""What routes get: the server context, a parameter of the type Context, and bodies."""
 
 from __future__ import annotations
 
 from typing import Annotated
 
 from fastapi import Depends
+from pydantic import BaseModel, ConfigDict
 from starlette.requests import HTTPConnection
 
 from ground.web.context import ServerContext
@@ -16,3 +17,9 @@ async def _of_the_server(connection: HTTPConnection) -> ServerContext:
 
 
 Context = Annotated[ServerContext, Depends(_of_the_server)]
+
+
+class Body(BaseModel):
+    """The body of a request: what is not a field of it is refused."""
+
+    model_config = ConfigDict(extra="forbid")

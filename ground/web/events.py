@@ -46,7 +46,6 @@ class Hub:
             queue.put_nowait(text)
 
     def send_from_thread(self, event: dict[str, Any] | str) -> None:
-        """The same, from any thread."""
         if self._loop is not None and not self._loop.is_closed():
             self._loop.call_soon_threadsafe(self.send, _text(event))
 

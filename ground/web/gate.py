@@ -196,7 +196,6 @@ def protocol_of(gate: Gate) -> type[asyncio.Protocol]:
 
 
 def quiet_logs() -> None:
-    """uvicorn and asyncio log each message once a minute."""
     for name in ("uvicorn.error", "asyncio"):
         logger = logging.getLogger(name)
         if not any(isinstance(one, LoggedOnce) for one in logger.filters):

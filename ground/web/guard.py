@@ -11,10 +11,12 @@ import hmac
 import ipaddress
 import re
 from dataclasses import dataclass
-from http.cookies import CookieError, SimpleCookie
 from typing import Any
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import urlsplit
 
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.requests import HTTPConnection
+from starlette.responses import PlainTextResponse, RedirectResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 COOKIE = "pointclick_token"
@@ -72,31 +74,30 @@ class Guard:
 
     def __init__(self, app: ASGIApp, rules: Rules) -> None:
         self._app, self._rules = app, rules
-        self._headers = [
-            (b"content-security-policy", rules.content_security_policy().encode()),
-            (b"x-content-type-options", b"nosniff"),
-            (b"referrer-policy", b"no-referrer"),
-            (b"cross-origin-opener-policy", b"same-origin"),
-            (b"cross-origin-resource-policy", b"same-origin"),
-            (b"permissions-policy", b"camera=(), microphone=(), geolocation=(self)"),
-        ]
+        self._headers = {
+            "content-security-policy": rules.content_security_policy(),
+            "x-content-type-options": "nosniff",
+            "referrer-policy": "no-referrer",
+            "cross-origin-opener-policy": "same-origin",
+            "cross-origin-resource-policy": "same-origin",
+            "permissions-policy": "camera=(), microphone=(), geolocation=(self)",
+        }
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass on a request that is allowed."""
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
-        headers = {name.decode("latin-1").lower(): value.decode("latin-1") for name, value in scope["headers"]}
-        refusal = self._refusal(scope, headers)
-        if refusal is not None:
+        asking, send = HTTPConnection(scope), self._with_headers(scope, send)
+        if (refusal := self._refusal(scope, asking.headers)) is not None:
             await self._refuse(scope, receive, send, *refusal)
             return
         if scope["type"] == "http" and scope["path"] == "/":
-            asked = parse_qs(scope.get("query_string", b"").decode("latin-1")).get("token", [""])[0]
+            asked = asking.query_params.get("token", "")
             if asked and self._role_of(asked):
-                await self._welcome(send, asked)
+                await self._welcome(asked)(scope, receive, send)
                 return
-        role = self._role(headers)
+        role = self._role(asking)
         if not role:
             await self._refuse(scope, receive, send, 401, "a token is needed: open the link that pc-ground web printed")
             return
@@ -107,9 +108,9 @@ class Guard:
             await self._refuse(scope, receive, send, 403, "with this token no camera is sent anywhere")
             return
         scope.setdefault("state", {})["role"] = role
-        await self._app(scope, receive, self._with_headers(scope, send))
+        await self._app(scope, receive, send)
 
-    def _refusal(self, scope: Scope, headers: dict[str, str]) -> tuple[int, str] | None:
+    def _refusal(self, scope: Scope, headers: Headers) -> tuple[int, str] | None:
         host = headers.get("host", "")
         if not self._rules.allows_host(host):
             return 421, "this server does not go by that name; use its address, or start it with --name"
@@ -128,18 +129,14 @@ class Guard:
             return 411, "state the body's length"
         return None
 
-    def _role(self, headers: dict[str, str]) -> str:
+    def _role(self, asking: HTTPConnection) -> str:
         """The role whose token a request has; empty for none. Where no token is asked for everybody is an operator."""
         if not self._rules.token:
             return OPERATOR
-        scheme, _, token = headers.get("authorization", "").partition(" ")
+        scheme, _, token = asking.headers.get("authorization", "").partition(" ")
         if scheme.lower() == "bearer" and (role := self._role_of(token.strip())):
             return role
-        try:
-            cookies: SimpleCookie = SimpleCookie(headers.get("cookie", ""))
-        except CookieError:
-            return ""
-        return self._role_of(cookies[COOKIE].value) if COOKIE in cookies else ""
+        return self._role_of(asking.cookies.get(COOKIE, ""))
 
     def _role_of(self, given: str) -> str:
         rules = self._rules
@@ -148,40 +145,29 @@ class Guard:
                 return role
         return ""
 
-    async def _welcome(self, send: Send, token: str) -> None:
+    def _welcome(self, token: str) -> RedirectResponse:
         """The link was opened: the token becomes a cookie that no script reads, and leaves the address bar."""
-        secure = "; Secure" if self._rules.is_secure else ""
-        cookie = f"{COOKIE}={token}; Path=/; HttpOnly; SameSite=Strict; Max-Age=2592000{secure}"
-        headers = [*self._headers, (b"location", b"/"), (b"set-cookie", cookie.encode()), (b"content-length", b"0")]
-        await send({"type": "http.response.start", "status": 303, "headers": headers})
-        await send({"type": "http.response.body", "body": b""})
+        answer = RedirectResponse("/", 303)
+        secure = self._rules.is_secure
+        answer.set_cookie(COOKIE, token, max_age=2_592_000, secure=secure, httponly=True, samesite="strict")
+        return answer
 
     async def _refuse(self, scope: Scope, receive: Receive, send: Send, status: int, reason: str) -> None:
         if scope["type"] == "websocket":
             await receive()
             await send({"type": "websocket.close", "code": 1008, "reason": reason[:120]})
             return
-        body = (reason + "\n").encode()
-        headers = [
-            *self._headers,
-            (b"content-type", b"text/plain; charset=utf-8"),
-            (b"content-length", str(len(body)).encode()),
-            (b"cache-control", b"no-store"),
-        ]
-        await send({"type": "http.response.start", "status": status, "headers": headers})
-        await send({"type": "http.response.body", "body": body})
+        await PlainTextResponse(f"{reason}\n", status, {"cache-control": "no-store"})(scope, receive, send)
 
     def _with_headers(self, scope: Scope, send: Send) -> Send:
         is_api = str(scope["path"]).startswith(("/api/", "/ogc"))
 
         async def sending(message: Message) -> None:
             if message["type"] == "http.response.start":
-                present: list[tuple[bytes, bytes]] = list(message.get("headers", []))
-                named = {name.lower() for name, _ in present}
-                present += self._headers
-                if is_api and b"cache-control" not in named:
-                    present.append((b"cache-control", b"no-store"))
-                message = {**message, "headers": present}
+                headers = MutableHeaders(scope=message)
+                headers.update(self._headers)
+                if is_api:
+                    headers.setdefault("cache-control", "no-store")
             await send(message)
 
         return sending

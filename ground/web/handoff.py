@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import io
 import time
-from collections.abc import Callable
 from typing import Annotated, Any
 
 from fastapi import APIRouter, HTTPException, Query, Response
@@ -49,10 +48,7 @@ def handoff(
     first: Annotated[str, Query(alias="from", max_length=64)] = "",
     crs: Annotated[str, Query(max_length=40)] = "",
 ) -> dict[str, Any]:
-    pin = context.pin(pin_id)
-    mark = Mark.of_pin(pin, context.places.place(pin))
-    if not mark.is_placed:
-        raise HTTPException(409, f"pin {pin.number} has no position to hand on: {mark.reason}")
+    pin, mark = _placed(context, pin_id)
     texts = _texts(mark, crs)
     if first:
         texts.append(_bearing(context, context.pin(first), pin))
@@ -74,10 +70,7 @@ def coordinate_texts(
 
 @router.get("/pins/{pin_id}/qr.svg", summary="The position as a geo: code", response_class=Response)
 def qr(context: Context, pin_id: str) -> Response:
-    pin = context.pin(pin_id)
-    mark = Mark.of_pin(pin, context.places.place(pin))
-    if not mark.is_placed:
-        raise HTTPException(409, f"pin {pin.number} has no position to hand on: {mark.reason}")
+    _, mark = _placed(context, pin_id)
     import segno  # noqa: PLC0415  no page waits for it
 
     out = io.BytesIO()
@@ -87,10 +80,7 @@ def qr(context: Context, pin_id: str) -> Response:
 
 @router.get("/pins/{pin_id}/package.zip", summary="A pin and its pictures as a TAK data package")
 def package(context: Context, pin_id: str) -> Response:
-    pin = context.pin(pin_id)
-    mark = Mark.of_pin(pin, context.places.place(pin))
-    if not mark.is_placed:
-        raise HTTPException(409, f"pin {pin.number} has no position to hand on: {mark.reason}")
+    pin, mark = _placed(context, pin_id)
     return _package(context, [mark], f"pin-{pin.number}.zip")
 
 
@@ -113,6 +103,15 @@ def export(context: Context, kind: str) -> Response:
     about = FORMATS[kind]
     headers = {"content-disposition": f'attachment; filename="pins{about.suffix}"'}
     return Response(about.write(marks, None), media_type=about.media_type, headers=headers)
+
+
+def _placed(context: ServerContext, pin_id: str) -> tuple[Pin, Mark]:
+    """A pin and its mark. Raises HTTPException for one without a position."""
+    pin = context.pin(pin_id)
+    mark = Mark.of_pin(pin, context.places.place(pin))
+    if not mark.is_placed:
+        raise HTTPException(409, f"pin {pin.number} has no position to hand on: {mark.reason}")
+    return pin, mark
 
 
 def geo_uri(mark: Mark) -> str:
@@ -145,27 +144,21 @@ def readback(mark: Mark) -> str:
 
 
 def _texts(mark: Mark, crs: str) -> list[dict[str, str]]:
-    lat, lon = mark.position
-
-    def text_in(form: str) -> Callable[[], str]:
-        return lambda: rounded_text(form, lat, lon, mark.ce90_m)
-
-    made = [(name, title, text_in(name)) for name, title in _FORMS.items()]
-    if crs:
-        made.append(("crs", crs, lambda: Projection(crs).of(mark).text))
-    out = []
-    for name, title, text in made:
+    rows = []
+    for name, title in (_FORMS | {"crs": crs} if crs else _FORMS).items():
         try:
-            out.append({"name": name, "title": title, "text": text()})
+            text = Projection(crs).of(mark).text if name == "crs" else rounded_text(name, *mark.position, mark.ce90_m)
         except InputError as error:  # no such square at a pole, no such package: the others still hold
-            out.append({"name": name, "title": title, "text": f"not to be had: {error}"})
-    radius = "unknown" if mark.ce90_m is None else f"{up(mark.ce90_m):.1f} m"
-    out.append({"name": "accuracy", "title": "90 % within", "text": radius})
-    out.append({"name": "height", "title": "Height", "text": _height(mark)})
-    out.append({"name": "time", "title": "Seen at", "text": _moment(mark.time_text) or "not known"})
-    out.append({"name": "author", "title": "Marked by", "text": _author(mark)})
-    out.append({"name": "geo", "title": "geo: link", "text": geo_uri(mark)})
-    return out
+            text = f"not to be had: {error}"
+        rows.append((name, title, text))
+    rows += [
+        ("accuracy", "90 % within", "unknown" if mark.ce90_m is None else f"{up(mark.ce90_m):.1f} m"),
+        ("height", "Height", _height(mark)),
+        ("time", "Seen at", _moment(mark.time_text) or "not known"),
+        ("author", "Marked by", _author(mark)),
+        ("geo", "geo: link", geo_uri(mark)),
+    ]
+    return [{"name": name, "title": title, "text": text} for name, title, text in rows]
 
 
 def _height(mark: Mark) -> str:

@@ -47,7 +47,6 @@ class Selection:
         return cls(bbox, heights_m, times_s, min(limit, MAX_LIMIT), after)
 
     def of_marks(self, marks: Sequence[Mark]) -> list[Mark]:
-        """All that match, on whatever page."""
         return [mark for mark in marks if self._has_place(mark) and self._has_time(mark)]
 
     def page(self, matching: Sequence[Mark]) -> tuple[list[Mark], int | None]:

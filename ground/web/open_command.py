@@ -98,7 +98,6 @@ def run(args: argparse.Namespace) -> int:
 
 
 def is_session(path: Path) -> bool:
-    """A recording, or a folder with one."""
     return path.suffix.lower() == SESSION or (path.is_dir() and any(path.glob(f"*{SESSION}")))
 
 
@@ -170,7 +169,6 @@ def _import_words(args: argparse.Namespace) -> list[str]:
 
 
 def _logs(args: argparse.Namespace) -> list[Path]:
-    """The logs that were named, either way."""
     return [*([] if args.log is None else [args.log]), *args.telemetry]
 
 

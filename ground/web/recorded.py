@@ -50,7 +50,6 @@ class RecordedSource:
         self._kept = lru_cache(maxsize=KEPT_SETS)(self._read)
 
     def vehicles(self) -> list[str]:
-        """The vehicles that published, sorted."""
         return self._recording.vehicles
 
     def version(self, vehicle: str) -> int:
@@ -111,7 +110,6 @@ class RecordedSource:
         return self._server.measured(feature_set, uv_px)
 
     def unfollowed(self, vehicle: str) -> str:
-        """Nothing can be followed in a recording; what was followed in flight is there."""
         return (
             "a recording: what was followed in flight is shown; to follow more in its pictures: "
             "pc-onboard replay SESSION.mcap --track FRAME,U,V"
@@ -122,7 +120,6 @@ class RecordedSource:
         raise LinkError(self.unfollowed(vehicle))
 
     def unlooked(self, vehicle: str) -> str:
-        """Nothing of a recording can be turned."""
         return "a recording: no camera is there to be turned"
 
     def look(self, vehicle: str, request: LookRequest) -> dict[str, Any]:

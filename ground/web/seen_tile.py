@@ -81,5 +81,4 @@ def _classes(cells: NDArray[np.void], by: str, now_s: float) -> NDArray[np.uint8
 
 
 def empty_tile() -> bytes:
-    """PNG of a tile on which nothing was seen."""
     return _png(np.zeros((SIDE, SIDE), np.uint8))

@@ -124,7 +124,6 @@ class TileArea:
             return {**self._state, "format": self._keep.about().get("format", "")}
 
     def tile(self, z: int, x: int, y: int) -> bytes | None:
-        """A tile that was downloaded."""
         return self._keep.tile(z, x, y)
 
     def elsewhere(self, z: int, x: int, y: int) -> str | None:

@@ -55,7 +55,6 @@ class TileKeep:
             return []
 
     def about(self) -> dict[str, str]:
-        """The metadata; empty where nothing is kept."""
         return {str(name): str(value) for name, value in self._rows("SELECT name, value FROM metadata")}
 
     def count(self, zoom: int, within: Range) -> int:

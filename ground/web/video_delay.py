@@ -93,7 +93,6 @@ class DelayEstimate:
         self._votes: deque[float] = deque(maxlen=most)
 
     def vote(self, vote_s: float) -> None:
-        """The delay of one picture, in any order."""
         self._votes.append(vote_s)
 
     def take(self, vote_s: float, interval_s: float) -> None:

@@ -71,7 +71,6 @@ class Ring:
             self.epoch += 1
 
     def frames(self) -> tuple[int, list[VideoFrame]]:
-        """The epoch, and its frames in the order of their times."""
         with self._lock:
             return self.epoch, list(self._frames)
 

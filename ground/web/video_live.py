@@ -79,7 +79,6 @@ class LiveFootage:
         self._thread = WatchedThread("matching of the video", self._look, PERIOD_S)
 
     def has(self, session: int, frame: int) -> bool:
-        """Return whether the set's frame was found, and is kept."""
         with self._lock:
             return (session, frame) in self._kept
 

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Protocol
 
-from contract.feature_set import FeatureSet
-from contract.look import LookRequest
-from contract.track import TrackRequest
-from ground.web.source import FrameRow, Picture, Source, VehicleReport
+from ground.web.source import FrameRow, Picture, Source
 
 MAX_ASPECT_ERROR = 0.01  # 854 x 480 is called 16:9
 
@@ -42,12 +39,13 @@ class WithVideo:
         self.measures = inner.measures
         self.name = inner.name
         self.views = inner.views
-
-    def vehicles(self) -> list[str]:
-        return self._inner.vehicles()
+        # The video has no part in these.
+        self.vehicles, self.report = inner.vehicles, inner.report
+        self.feature_set, self.age_s, self.measured = inner.feature_set, inner.age_s, inner.measured
+        self.unfollowed, self.follow = inner.unfollowed, inner.follow
+        self.unlooked, self.look = inner.unlooked, inner.look
 
     def version(self, vehicle: str) -> int:
-        """The other source's, and the video's."""
         return self._inner.version(vehicle) + (self._footage.version if vehicle == self._footage.vehicle else 0)
 
     def frames(self, vehicle: str, newest: int | None = None) -> list[FrameRow]:
@@ -57,9 +55,6 @@ class WithVideo:
             return rows
         has = self._footage.has
         return [replace(row, has_picture=row.has_picture or has(row.session, row.frame)) for row in rows]
-
-    def feature_set(self, vehicle: str, session: int | None, frame: int) -> FeatureSet | None:
-        return self._inner.feature_set(vehicle, session, frame)
 
     def picture(self, vehicle: str, session: int | None, frame: int) -> Picture | None:
         """The other's; else the frame of the video."""
@@ -72,29 +67,7 @@ class WithVideo:
         content = self._footage.picture(session, frame)
         return None if content is None else Picture(content, "image/jpeg", is_unchanging=False)
 
-    def age_s(self, feature_set: FeatureSet) -> float | None:
-        return self._inner.age_s(feature_set)
-
-    def report(self, vehicle: str) -> VehicleReport:
-        return self._inner.report(vehicle)
-
-    def measured(self, feature_set: FeatureSet, uv_px: tuple[float, float]) -> FeatureSet:
-        return self._inner.measured(feature_set, uv_px)
-
-    def unfollowed(self, vehicle: str) -> str:
-        return self._inner.unfollowed(vehicle)
-
-    def follow(self, vehicle: str, request: TrackRequest) -> dict[str, object]:
-        return self._inner.follow(vehicle, request)
-
-    def unlooked(self, vehicle: str) -> str:
-        return self._inner.unlooked(vehicle)
-
-    def look(self, vehicle: str, request: LookRequest) -> dict[str, Any]:
-        return self._inner.look(vehicle, request)
-
     def damage(self) -> list[str]:
-        """The video's state, and the other source's notes."""
         return [*self._footage.notes(), *self._inner.damage()]
 
     def no_pictures(self) -> str:

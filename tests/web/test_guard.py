@@ -85,7 +85,7 @@ def test_a_token_opens_everything_and_nothing_opens_without(guarded: TestClient)
     assert (opened.status_code, opened.headers["location"]) == (303, "/")
     cookie = opened.headers["set-cookie"]
     assert "HttpOnly" in cookie
-    assert "SameSite=Strict" in cookie
+    assert "SameSite=strict" in cookie
     assert guarded.get("/api/pins").status_code == 200  # the cookie is kept
     assert guarded.get("/", headers={"host": "ops.example:8080"}).status_code in (200, 401)
 

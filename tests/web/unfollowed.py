@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from contract.errors import LinkError
 from contract.feature_set import FeatureSet
+from contract.look import LookRequest
 from contract.track import TrackRequest
 from ground.unmeasured import NOT_TRIED
 from ground.web.source import Views
@@ -27,3 +30,11 @@ class Unfollowed:
     def follow(self, vehicle: str, request: TrackRequest) -> dict[str, object]:
         """No one does."""
         raise LinkError(self.unfollowed(vehicle))
+
+    def unlooked(self, vehicle: str) -> str:
+        """No one does."""
+        return self.unfollowed(vehicle)
+
+    def look(self, vehicle: str, request: LookRequest) -> dict[str, Any]:
+        """No one does."""
+        raise LinkError(self.unlooked(vehicle))
