@@ -17,17 +17,8 @@ def patience_s(config: CameraConfig) -> float:
 
 def figures(pictures: Pictures, is_open: bool) -> dict[str, float]:
     """Rate and delay of the newest pictures, and counts since the camera was first opened."""
-    counts = pictures.counts
-    return {
-        "rate_hz": pictures.rate_hz if is_open else 0.0,
-        "delay_ms": pictures.delay_ms,
-        "pictures": counts.pictures,
-        "lost": counts.lost,
-        "skipped": counts.skipped,
-        "damaged": counts.damaged,
-        "repeated": counts.repeated,
-        "reopened": counts.reopened,
-    }
+    rate_hz = pictures.rate_hz if is_open else 0.0
+    return {"rate_hz": rate_hz, "delay_ms": pictures.delay_ms, **vars(pictures.counts)}
 
 
 def stopped(

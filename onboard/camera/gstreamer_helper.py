@@ -213,7 +213,6 @@ class Player:
         self._is_asked_to_end = False
 
     def end(self, *_: object) -> None:
-        """Ask for the end (a signal's handler)."""
         self._is_asked_to_end = True
 
     def need(self, *elements: str) -> None:

@@ -63,7 +63,6 @@ class HelperProcess:
 
     @property
     def pid(self) -> int:
-        """The process id of the helper, which leads its group."""
         return self._process.pid
 
     def read(self, within_s: float) -> bytes | None:

@@ -224,12 +224,10 @@ class PictureFolder:
 
     @property
     def stamps_ns(self) -> list[int]:
-        """Capture times in order."""
         return [item.stamp_ns for item in self._stamped]
 
     @property
     def names(self) -> list[str]:
-        """File names in capture order."""
         return [item.name for item in self._stamped]
 
     @property
@@ -348,7 +346,6 @@ class Video:
 
     @property
     def stamps_ns(self) -> list[int]:
-        """Capture times in order."""
         return [item.stamp_ns for item in self._stamped]
 
     @property

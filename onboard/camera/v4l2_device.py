@@ -19,8 +19,9 @@ import os
 import select
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Protocol, Self
+from typing import Any, Protocol
 
+from contract.closing import Closing
 from onboard.camera import v4l2_structures as v4l2
 
 BUFFERS = 4
@@ -123,7 +124,7 @@ class Device(Protocol):
     def close(self) -> None: ...
 
 
-class V4l2Device:
+class V4l2Device(Closing):
     """An open device node."""
 
     def __init__(self, path: str) -> None:
@@ -148,17 +149,10 @@ class V4l2Device:
         self._is_multiplanar = not own & v4l2.CAP_VIDEO_CAPTURE and bool(own & v4l2.CAP_VIDEO_CAPTURE_MPLANE)
         self._type = v4l2.BUF_TYPE_VIDEO_CAPTURE_MPLANE if self._is_multiplanar else v4l2.BUF_TYPE_VIDEO_CAPTURE
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
     def _ioctl(self, request: int, argument: Any) -> None:
         fcntl.ioctl(self._fd, request, argument)
 
     def _listed(self, request: int, argument: Any) -> Iterator[None]:
-        """Fill `argument` with one entry of a list after the other."""
         for index in range(_MAX_LISTED):
             argument.index = index
             try:

@@ -11,6 +11,7 @@ The layout is that of 64-bit Linux, the same on x86-64 and aarch64: pointers, `l
 from __future__ import annotations
 
 import ctypes
+from typing import Any
 
 from contract.errors import ConfigError
 
@@ -54,6 +55,11 @@ CTRL_TYPE_INTEGER_MENU = 9
 CTRL_FLAG_NEXT_CTRL = 0x80000000
 
 
+def _each(kind: type[ctypes._SimpleCData[int]], *names: str) -> list[tuple[str, Any]]:
+    """Fields of one type, one after the other."""
+    return [(name, kind) for name in names]
+
+
 class Capability(ctypes.Structure):
     """struct v4l2_capability."""
 
@@ -61,9 +67,7 @@ class Capability(ctypes.Structure):
         ("driver", _S8 * 16),
         ("card", _S8 * 32),
         ("bus_info", _S8 * 32),
-        ("version", _U32),
-        ("capabilities", _U32),
-        ("device_caps", _U32),
+        *_each(_U32, "version", "capabilities", "device_caps"),
         ("reserved", _U32 * 3),
     ]
 
@@ -72,12 +76,9 @@ class Fmtdesc(ctypes.Structure):
     """struct v4l2_fmtdesc."""
 
     _fields_ = [
-        ("index", _U32),
-        ("type", _U32),
-        ("flags", _U32),
+        *_each(_U32, "index", "type", "flags"),
         ("description", _S8 * 32),
-        ("pixelformat", _U32),
-        ("mbus_code", _U32),
+        *_each(_U32, "pixelformat", "mbus_code"),
         ("reserved", _U32 * 3),
     ]
 
@@ -91,14 +92,7 @@ class FrmsizeDiscrete(ctypes.Structure):
 class FrmsizeStepwise(ctypes.Structure):
     """struct v4l2_frmsize_stepwise."""
 
-    _fields_ = [
-        ("min_width", _U32),
-        ("max_width", _U32),
-        ("step_width", _U32),
-        ("min_height", _U32),
-        ("max_height", _U32),
-        ("step_height", _U32),
-    ]
+    _fields_ = _each(_U32, "min_width", "max_width", "step_width", "min_height", "max_height", "step_height")
 
 
 class _FrmsizeChoice(ctypes.Union):
@@ -110,9 +104,7 @@ class Frmsizeenum(ctypes.Structure):
 
     _anonymous_ = ("choice",)
     _fields_ = [
-        ("index", _U32),
-        ("pixel_format", _U32),
-        ("type", _U32),
+        *_each(_U32, "index", "pixel_format", "type"),
         ("choice", _FrmsizeChoice),
         ("reserved", _U32 * 2),
     ]
@@ -139,11 +131,7 @@ class Frmivalenum(ctypes.Structure):
 
     _anonymous_ = ("choice",)
     _fields_ = [
-        ("index", _U32),
-        ("pixel_format", _U32),
-        ("width", _U32),
-        ("height", _U32),
-        ("type", _U32),
+        *_each(_U32, "index", "pixel_format", "width", "height", "type"),
         ("choice", _FrmivalChoice),
         ("reserved", _U32 * 2),
     ]
@@ -153,11 +141,8 @@ class PixFormat(ctypes.Structure):
     """struct v4l2_pix_format."""
 
     _fields_ = [
-        (name, _U32)
-        for name in (
-            *("width", "height", "pixelformat", "field", "bytesperline", "sizeimage", "colorspace", "priv", "flags"),
-            *("ycbcr_enc", "quantization", "xfer_func"),
-        )
+        *_each(_U32, "width", "height", "pixelformat", "field", "bytesperline", "sizeimage", "colorspace", "priv"),
+        *_each(_U32, "flags", "ycbcr_enc", "quantization", "xfer_func"),
     ]
 
 
@@ -171,17 +156,9 @@ class PixFormatMplane(ctypes.Structure):
     """struct v4l2_pix_format_mplane."""
 
     _fields_ = [
-        ("width", _U32),
-        ("height", _U32),
-        ("pixelformat", _U32),
-        ("field", _U32),
-        ("colorspace", _U32),
+        *_each(_U32, "width", "height", "pixelformat", "field", "colorspace"),
         ("plane_fmt", PlanePixFormat * MAX_PLANES),
-        ("num_planes", _U8),
-        ("flags", _U8),
-        ("ycbcr_enc", _U8),
-        ("quantization", _U8),
-        ("xfer_func", _U8),
+        *_each(_U8, "num_planes", "flags", "ycbcr_enc", "quantization", "xfer_func"),
         ("reserved", _U8 * 7),
     ]
 
@@ -224,17 +201,12 @@ class QueryExtCtrl(ctypes.Structure):
     """struct v4l2_query_ext_ctrl."""
 
     _fields_ = [
-        ("id", _U32),
-        ("type", _U32),
+        *_each(_U32, "id", "type"),
         ("name", _S8 * 32),
-        ("minimum", _S64),
-        ("maximum", _S64),
+        *_each(_S64, "minimum", "maximum"),
         ("step", _U64),
         ("default_value", _S64),
-        ("flags", _U32),
-        ("elem_size", _U32),
-        ("elems", _U32),
-        ("nr_of_dims", _U32),
+        *_each(_U32, "flags", "elem_size", "elems", "nr_of_dims"),
         ("dims", _U32 * 4),
         ("reserved", _U32 * 32),
     ]
@@ -276,9 +248,7 @@ class ExtControls(ctypes.Structure):
     """struct v4l2_ext_controls."""
 
     _fields_ = [
-        ("which", _U32),
-        ("count", _U32),
-        ("error_idx", _U32),
+        *_each(_U32, "which", "count", "error_idx"),
         ("request_fd", _S32),
         ("reserved", _U32 * 1),
         ("controls", ctypes.POINTER(ExtControl)),
@@ -289,10 +259,7 @@ class Requestbuffers(ctypes.Structure):
     """struct v4l2_requestbuffers."""
 
     _fields_ = [
-        ("count", _U32),
-        ("type", _U32),
-        ("memory", _U32),
-        ("capabilities", _U32),
+        *_each(_U32, "count", "type", "memory", "capabilities"),
         ("flags", _U8),
         ("reserved", _U8 * 3),
     ]
@@ -308,12 +275,8 @@ class Timecode(ctypes.Structure):
     """struct v4l2_timecode."""
 
     _fields_ = [
-        ("type", _U32),
-        ("flags", _U32),
-        ("frames", _U8),
-        ("seconds", _U8),
-        ("minutes", _U8),
-        ("hours", _U8),
+        *_each(_U32, "type", "flags"),
+        *_each(_U8, "frames", "seconds", "minutes", "hours"),
         ("userbits", _U8 * 4),
     ]
 
@@ -342,18 +305,12 @@ class Buffer(ctypes.Structure):
     """struct v4l2_buffer."""
 
     _fields_ = [
-        ("index", _U32),
-        ("type", _U32),
-        ("bytesused", _U32),
-        ("flags", _U32),
-        ("field", _U32),
+        *_each(_U32, "index", "type", "bytesused", "flags", "field"),
         ("timestamp", Timeval),
         ("timecode", Timecode),
-        ("sequence", _U32),
-        ("memory", _U32),
+        *_each(_U32, "sequence", "memory"),
         ("m", _BufferMemory),
-        ("length", _U32),
-        ("reserved2", _U32),
+        *_each(_U32, "length", "reserved2"),
         ("request_fd", _S32),
     ]
 
