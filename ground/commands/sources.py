@@ -6,7 +6,7 @@ import argparse
 import math
 import sys
 import time
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Protocol
@@ -229,7 +229,8 @@ class Clicker:
         found = reply.fresh(self._max_age_s)
         if isinstance(found, Refusal):
             return found, None
-        locator = self._solved(_Known(found))
+        key = found.vehicle, found.session, found.frame, found.revision, found.capture_unix_ns, found.clicked
+        locator = self._solved(_Known(key, found))
         answer = aged(locator.locate((u_px, v_px)), reply.age_s)
         if self._is_measured and found.clicked is None and isinstance(answer, Fix):
             answer = replace(answer, unmeasured=self._source.untried)
@@ -280,18 +281,12 @@ class AskedClicker:
         return Refusal(Status.STALE, answer.frame, answer.capture_unix_ns, answer.vehicle, detail, now_age_s), None
 
 
+@dataclass(frozen=True)
 class _Known:
-    """The values that identify a set."""
+    """A set, known by the values that identify it."""
 
-    def __init__(self, feature_set: FeatureSet) -> None:
-        self.feature_set = s = feature_set
-        self._key = s.vehicle, s.session, s.frame, s.revision, s.capture_unix_ns, s.clicked
-
-    def __hash__(self) -> int:
-        return hash(self._key)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Known) and self._key == other._key
+    key: tuple[object, ...]
+    feature_set: FeatureSet = field(compare=False)
 
 
 def _solved(known: _Known) -> Locator:

@@ -82,11 +82,6 @@ class FileFootage:
                     self._kept.popitem(last=False)
             return self._kept[time_s]
 
-    @property
-    def is_reading(self) -> bool:
-        """Until the file was gone through: frames may still be found."""
-        return self._thread.is_alive()
-
     def notes(self) -> list[str]:
         """The file, its delay, and pictures that were left out."""
         report = self._thread.report()

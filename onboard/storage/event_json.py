@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import types
 import typing
-from dataclasses import MISSING, asdict, fields
+from dataclasses import asdict
 from typing import Any
+
+from pydantic import TypeAdapter, ValidationError
 
 from contract import recording_format as names
 from contract.errors import InputError
@@ -36,6 +38,7 @@ CHANNELS: dict[type[Event], str] = {
 NAV_EVENTS: dict[str, type[NavEvent]] = {t: kind for kind, t in CHANNELS.items() if kind is not Frame}  # type: ignore[misc]
 
 _HINTS: dict[type[Event], dict[str, Any]] = {kind: typing.get_type_hints(kind) for kind in CHANNELS}
+_ADAPTERS: dict[type[NavEvent], TypeAdapter[NavEvent]] = {kind: TypeAdapter(kind) for kind in NAV_EVENTS.values()}
 _PLAIN = {int: "integer", float: "number", str: "string", bool: "boolean"}
 
 
@@ -74,17 +77,13 @@ def event_schema(kind: type[Event]) -> tuple[str, str]:
 
 def nav_event(kind: type[NavEvent], data: bytes) -> NavEvent:
     """The event that `event_json` wrote; fields added since then take their defaults. Raises InputError."""
-    return _nav_event(kind, _object(data))
-
-
-def _nav_event(kind: type[NavEvent], content: dict[str, Any]) -> NavEvent:
-    hints, values = _hints(kind), {}
-    for field in fields(kind):
-        if field.name in content:
-            values[field.name] = _value(content[field.name], hints[field.name], f"{kind.__name__}.{field.name}")
-        elif field.default is MISSING:
-            raise InputError(f"a {kind.__name__} without {field.name}")
-    return kind(**values)
+    try:
+        return _ADAPTERS[kind].validate_json(data, strict=True)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        fault = f"without {where}" if first["type"] == "missing" else f"that is none: {where} {first['msg']}"
+        raise InputError(f"a {kind.__name__} {fault}") from error
 
 
 def frame_event(data: bytes) -> tuple[Frame, str, str]:
@@ -108,15 +107,11 @@ def _object(data: bytes) -> dict[str, Any]:
     return content
 
 
-def _hints(kind: type[Event]) -> dict[str, Any]:
-    return _HINTS[kind]
-
-
 def _schema(hint: Any) -> dict[str, Any]:
     if hint in _PLAIN:
         return {"type": _PLAIN[hint]}
     if hint in CHANNELS:  # an event that is part of another
-        return {"type": "object", "properties": {name: _schema(inner) for name, inner in _hints(hint).items()}}
+        return {"type": "object", "properties": {name: _schema(inner) for name, inner in _HINTS[hint].items()}}
     origin, inner = typing.get_origin(hint), typing.get_args(hint)
     if origin is typing.Literal:
         return {"enum": list(inner)}
@@ -124,27 +119,3 @@ def _schema(hint: Any) -> dict[str, Any]:
         return {"type": "array", "items": _schema(inner[0]), "minItems": len(inner), "maxItems": len(inner)}
     assert origin is types.UnionType, hint
     return {"anyOf": [{"type": "null"} if option is types.NoneType else _schema(option) for option in inner]}
-
-
-def _value(value: Any, hint: Any, name: str) -> Any:
-    """A JSON value as its field has it: lists become tuples, and what is of another kind is refused."""
-    origin, inner = typing.get_origin(hint), typing.get_args(hint)
-    if origin is types.UnionType:
-        if value is None and types.NoneType in inner:
-            return None
-        (hint,) = (option for option in inner if option is not types.NoneType)
-        return _value(value, hint, name)
-    if origin is tuple and isinstance(value, list) and len(value) == len(inner):
-        return tuple(_value(item, inner[0], name) for item in value)
-    if origin is typing.Literal and value in inner:
-        return value
-    if hint in CHANNELS and isinstance(value, dict):
-        try:
-            return _nav_event(hint, value)
-        except InputError as error:
-            raise InputError(f"{name}: {error}") from None
-    if hint is float and isinstance(value, (int, float)) and not isinstance(value, bool):
-        return value
-    if hint in (int, str, bool) and type(value) is hint:
-        return value
-    raise InputError(f"{name} = {str(value)[:40]!r} is not usable")

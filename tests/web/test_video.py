@@ -45,7 +45,7 @@ def video(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def finished(footage: FileFootage) -> list[str]:
-    wait_for(lambda: not footage.is_reading, "the end of the file")
+    wait_for(lambda: not footage._thread.is_alive(), "the end of the file")
     return footage.notes()
 
 
