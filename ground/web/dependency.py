@@ -1,4 +1,4 @@
-"""What routes get: the server context, a parameter of the type Context, and bodies."""
+"""Parameters of routes: the server context, of the type Context, and bodies."""
 
 from __future__ import annotations
 
