@@ -11,8 +11,8 @@ from contract.errors import InputError
 HEAD_BYTES = 65_536
 
 
-def xml_root(data: bytes, needed: str) -> ET.Element:
-    """Return the root of a document, its tags without their namespaces.
+def xml_root(data: bytes, needed: str, kept: str = "") -> ET.Element:
+    """Return the root of a document, its tags without their namespaces, but for those of the namespace `kept`.
 
     Raises InputError for what is no document, and for one that declares entities or a DTD; `needed` states in words
     that such a file needs none.
@@ -29,7 +29,7 @@ def xml_root(data: bytes, needed: str) -> ET.Element:
     except (ET.ParseError, expat.ExpatError, ValueError, LookupError) as error:
         raise InputError(f"not XML ({error})") from error
     for node in root.iter():
-        node.tag = _without_namespace(node.tag)
+        node.tag = _without_namespace(node.tag, kept)
     return root
 
 
@@ -45,5 +45,6 @@ def _read_head(check: expat.XMLParserType, data: bytes) -> None:
 
 
 @lru_cache(maxsize=1024)
-def _without_namespace(tag: str) -> str:
-    return tag.rpartition("}")[2]
+def _without_namespace(tag: str, kept: str) -> str:
+    namespace, _, name = tag.rpartition("}")
+    return tag if kept and namespace == f"{{{kept}" else name

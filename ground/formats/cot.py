@@ -191,10 +191,10 @@ def read(data: bytes, who: str = "", now_unix_ns: int = 0) -> Imported:
 
 def _pin(found: ET.Element, who: str, now_unix_ns: int) -> Pin:
     """A marker's. Raises ValueError for what is no number, InputError for no place."""
-    parts = {node.tag: node for node in found.iter()}
-    if "point" not in parts:
+    point, detail = found.find("point"), found.find("detail")  # its own: a detail may hold others, as shapes do
+    if point is None:
         raise InputError("no point in it")
-    point = parts["point"]
+    parts = {} if detail is None else {node.tag: node for node in reversed(detail)}
     hae, ce, le = (_known(float(point.get(key, UNKNOWN))) for key in ("hae", "ce", "le"))
     ours, contact, remarks = (parts.get(name, ET.Element(name)) for name in (OURS, "contact", "remarks"))
     return entered_pin(
@@ -206,8 +206,10 @@ def _pin(found: ET.Element, who: str, now_unix_ns: int) -> Pin:
 
 
 def _known(value: float) -> float | None:
-    """A height or an accuracy; None for the number that means unknown, and for 0, which other programs write for it."""
-    return value if 0.0 < abs(value) < 9_999_999.0 else None
+    """A height or an accuracy; None for the numbers that mean unknown, 9999999 or with fewer nines, and for 0, which
+    other programs write for it.
+    """
+    return value if 0.0 < abs(value) < 99_999.0 else None
 
 
 def _accuracy(mark: Mark) -> str:

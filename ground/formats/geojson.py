@@ -17,6 +17,7 @@ from typing import Any
 from contract.circular_error import CE90_SIGMAS, LE90_SIGMAS
 from contract.errors import InputError
 from contract.geodesy import within_180
+from contract.place_files import NAMES, NOTES, check_wgs84, worded
 from ground.formats.coordinates import Grid
 from ground.formats.imported import Imported, entered_pin
 from ground.formats.mark import Mark
@@ -24,7 +25,6 @@ from ground.pins.model import Pin
 
 WHOLE = "pointclick"  # the member with the pin itself
 MAX_FEATURES = 100_000
-WGS84 = ("CRS84", "CRS84H", "EPSG::4326", "EPSG:4326", "EPSG::4979", "EPSG:4979")  # how its names end
 
 
 def write(marks: Sequence[Mark], grid: Grid | None = None, crop_of: Callable[[str], bytes | None] | None = None) -> str:
@@ -106,7 +106,7 @@ def read(data: bytes, who: str = "", now_unix_ns: int = 0) -> Imported:
         raise InputError("not GeoJSON: a FeatureCollection or a Feature is needed")
     if len(features) > MAX_FEATURES:
         raise InputError(f"{len(features)} features; at most {MAX_FEATURES} are read")
-    _check_crs(content)
+    check_wgs84(content)
     out = Imported()
     for index, feature in enumerate(features):
         whole = feature.get(WHOLE) if isinstance(feature, dict) else None
@@ -120,26 +120,18 @@ def read(data: bytes, who: str = "", now_unix_ns: int = 0) -> Imported:
     return out.checked()
 
 
-def _check_crs(content: dict[str, Any]) -> None:
-    """Raise InputError for coordinates of another system, which older GeoJSON and GIS programs name in `crs`."""
-    crs = content.get("crs")
-    if crs is None:
-        return
-    about = crs.get("properties") if isinstance(crs, dict) else None
-    name = str(about.get("name") if isinstance(about, dict) else crs)
-    if not name.upper().endswith(WGS84):
-        raise InputError(f"its coordinates are of {name[:80]}, and WGS84 is needed: export it as EPSG:4326")
-
-
 def _whole(out: Imported, whole: dict[str, Any]) -> Pin:
     pin, crops = Pin.from_dict(whole.get("pin")), _crops_read(whole.get("crops"))
     out.crops |= crops
     return pin
 
 
-def _points(geometry: object) -> list[object]:
-    """The coordinates of a Point or of each point of a MultiPoint; none of any other geometry."""
-    kind, found = (geometry.get("type"), geometry.get("coordinates")) if isinstance(geometry, dict) else ("", None)
+def _points(geometry: object, is_part: bool = False) -> list[object]:
+    """The coordinates of a Point, or of each point of a MultiPoint or of a collection; none of any other geometry."""
+    about = geometry if isinstance(geometry, dict) else {}
+    kind, found, parts = about.get("type"), about.get("coordinates"), about.get("geometries")
+    if kind == "GeometryCollection" and isinstance(parts, list) and not is_part:
+        return [point for part in parts for point in _points(part, is_part=True)]
     if kind == "MultiPoint" and isinstance(found, list):
         return list(found)
     return [found] if kind == "Point" else []
@@ -159,7 +151,7 @@ def _pin(feature: object, coordinates: object, who: str, now_unix_ns: int) -> Pi
     if not isinstance(feature, dict):
         raise InputError("not an object")
     for stated in (feature, feature["geometry"]):
-        _check_crs(stated)
+        check_wgs84(stated)
     numbers = coordinates if isinstance(coordinates, list) and 2 <= len(coordinates) <= 4 else []
     if not numbers or not all(isinstance(c, int | float) and not isinstance(c, bool) for c in numbers):
         raise InputError("coordinates are longitude, latitude and perhaps height")
@@ -174,8 +166,8 @@ def _pin(feature: object, coordinates: object, who: str, now_unix_ns: int) -> Pi
         height_ellipsoid_m=float(numbers[2]) if len(numbers) > 2 and numbers[2] != 0 else None,
         sigma_m=None if ce90 is None else ce90 / CE90_SIGMAS,
         sigma_height_m=None if le90 is None else le90 / LE90_SIGMAS,
-        name=about.get("name") or about.get("title"), note=about.get("note") or about.get("description"),
-        category=about.get("category"), who=who, time_text=about.get("time"), now_unix_ns=now_unix_ns,
+        name=worded(about, NAMES), note=worded(about, NOTES), category=about.get("category"), who=who,
+        time_text=about.get("time"), now_unix_ns=now_unix_ns,
     )  # fmt: skip
 
 

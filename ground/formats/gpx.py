@@ -62,7 +62,7 @@ def write(marks: Sequence[Mark], grid: Grid | None = None) -> str:
 
 def read(data: bytes, who: str = "", now_unix_ns: int = 0) -> Imported:
     """Waypoints; routes and tracks are left out. Raises InputError for what is no GPX."""
-    root = parsed(data, "GPX")
+    root = parsed(data, "GPX", OURS)
     if root.tag != "gpx":
         raise InputError(f"not GPX: its root is {root.tag[:40]!r}")
     out = Imported()
@@ -76,7 +76,9 @@ def read(data: bytes, who: str = "", now_unix_ns: int = 0) -> Imported:
 
 def _pin(point: ET.Element, who: str, now_unix_ns: int) -> Pin:
     """A waypoint's. Raises ValueError for what is no number, InputError for no place."""
-    ours = {n.tag: n.text or "" for m in point.findall("extensions") for n in m}
+    # Other programs' extensions have names and colours of their own; ours state what is in `name` and `desc`.
+    own = f"{{{OURS}}}"
+    ours = {n.tag.removeprefix(own): n.text or "" for n in point.findall("extensions/*") if n.tag.startswith(own)}
     text = point.findtext("ele", "")  # 0: not known, as CalTopo and others write
     ce90, le90 = (float(ours[key]) if ours.get(key) else None for key in ("ce90_m", "le90_m"))
     return entered_pin(
@@ -84,6 +86,6 @@ def _pin(point: ET.Element, who: str, now_unix_ns: int) -> Pin:
         height_amsl_m=(float(text) if text else None) or None, sigma_m=None if ce90 is None else ce90 / CE90_SIGMAS,
         sigma_height_m=None if le90 is None else le90 / LE90_SIGMAS,
         name=ours.get("name", "" if ours else point.findtext("name", "")),
-        note=ours.get("note", "" if ours else point.findtext("desc", "")),
+        note=ours.get("note", "" if ours else point.findtext("desc") or point.findtext("cmt", "")),
         category=point.findtext("type", ""), who=who, time_text=point.findtext("time", ""), now_unix_ns=now_unix_ns,
     )  # fmt: skip

@@ -12,6 +12,7 @@ from contract.errors import InputError
 from ground.pins.model import MAX_NAME, MAX_NOTE, Category, Pin, PinClick
 
 MAX_REASON = 200  # characters
+_HAS_TIME = re.compile(r"[T ]\d\d")
 _NO_NUMBER = re.compile(r"could not convert string to float: (.*)")  # Python's words
 
 
@@ -74,8 +75,13 @@ def entered_pin(
 
 
 def unix_ns_of(text: str) -> int | None:
-    """Unix time of an ISO 8601 moment, UTC where it has no offset; None for any other text, or a moment before 1970."""
+    """Unix time of an ISO 8601 moment, UTC where it has no offset; None for any other text, or a moment before 1970.
+
+    A day alone is no moment: taken for its first second it would state a time at which nothing was seen.
+    """
     try:
+        if not _HAS_TIME.search(text):
+            return None
         moment = datetime.fromisoformat(text.strip().replace("Z", "+00:00"))
     except ValueError:
         return None

@@ -13,6 +13,7 @@ from functools import partial
 from contract.circular_error import CE90_SIGMAS, LE90_SIGMAS
 from contract.errors import InputError
 from contract.geodesy import LocalFrame
+from contract.place_files import NAMES, NOTES, kml_values, worded
 from contract.xml_text import KML, document, element
 from ground.formats.coordinates import Grid, figure, shape_values
 from ground.formats.imported import Imported, entered_pin
@@ -141,7 +142,8 @@ def _take_all(out: Imported, root: ET.Element, is_packed: bool, who: str, now_un
 
 def _pin(place: ET.Element, point: ET.Element, who: str, now_unix_ns: int) -> Pin:
     """A placemark's. Raises ValueError for what is no number, InputError for no place."""
-    about = _extended(place)
+    about = kml_values(place)
+    is_ours = "pin_name" in about  # its name and description are then made for people
     numbers = point.findtext("coordinates", "").strip().split(",")
     if len(numbers) < 2:
         raise InputError("no coordinates (longitude, latitude) in its point")
@@ -154,8 +156,8 @@ def _pin(place: ET.Element, point: ET.Element, who: str, now_unix_ns: int) -> Pi
         lat_deg=float(numbers[1]), lon_deg=float(numbers[0]), height_amsl_m=height_m,
         sigma_m=None if ce90 is None else ce90 / CE90_SIGMAS,
         sigma_height_m=None if le90 is None else le90 / LE90_SIGMAS,
-        name=about.get("pin_name", place.findtext("name", "")),
-        note=about.get("note", "" if about else place.findtext("description", "")),
+        name=about.get("pin_name") if is_ours else place.findtext("name") or worded(about, NAMES),
+        note=about.get("note") if is_ours else place.findtext("description") or worded(about, NOTES),
         category=about.get("category"), who=who, time_text=place.findtext("TimeStamp/when", ""),
         now_unix_ns=now_unix_ns,
     )  # fmt: skip
@@ -180,11 +182,6 @@ def _documents(data: bytes) -> list[bytes]:
     except (zipfile.BadZipFile, NotImplementedError, RuntimeError, OSError, EOFError, ValueError, zlib.error) as error:
         raise InputError(f"not KMZ ({error})") from error
     return found
-
-
-def _extended(place: ET.Element) -> dict[str, str]:
-    found = (node for data in place.findall("ExtendedData") for node in data.findall("Data"))
-    return {node.get("name", ""): node.findtext("value", "") for node in found}
 
 
 def _html(text: str) -> str:

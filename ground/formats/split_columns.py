@@ -31,9 +31,10 @@ class SplitColumns:
     systems: tuple[int, ...] = ()
 
     @classmethod
-    def of(cls, names: Sequence[str], columns: Mapping[str, int]) -> SplitColumns:
+    def of(cls, names: Sequence[str], columns: Mapping[str, int], rows: Sequence[Sequence[str]] = ()) -> SplitColumns:
         """Find them by their names; `columns` are those that are known. A part that does not name its half is of the
-        one right before it.
+        one right before it; but a hemisphere has no digits, and such a column of `rows` (headings, numbers of
+        sectors) is none.
         """
         found, systems, before = cls(), [], ""
         half_at = {columns[half]: half for half in HALVES}
@@ -43,6 +44,8 @@ class SplitColumns:
                 continue
             word = re.sub("[^a-z]", "", name.lower())
             half, part = _part_of(word, before)
+            if part == "letter" and not _part_of(word, "")[1] and any(_has_digit(row, index) for row in rows):
+                part = ""
             if part:
                 found.parts[half].setdefault(part, index)
             elif word in _SYSTEM:
@@ -71,6 +74,10 @@ class SplitColumns:
         return read.lat_deg, read.lon_deg
 
 
+def _has_digit(row: Sequence[str], index: int) -> bool:
+    return index < len(row) and re.search(r"\d", row[index]) is not None
+
+
 def _part_of(word: str, before: str) -> tuple[str, str]:
     """The half and the part that a column's name means, both empty for any other; `before`: of the column before it."""
     for half, side in _SIDES.items():
@@ -90,7 +97,7 @@ def _cells_of(parts: Mapping[str, int], cells: Sequence[str]) -> dict[str, str]:
 def _text(degrees: str, given: Mapping[str, str]) -> str:
     """One half as people write it. Raises InputError for seconds without minutes, and for no hemisphere."""
     letter = given.get("letter", "")[:1].upper()
-    if "letter" in given and letter not in "NSEW":
+    if "letter" in given and (letter not in "NSEW" or not given["letter"].isalpha()):
         raise InputError(f"{given['letter'][:20]!r} is no hemisphere")
     if "seconds" in given and "minutes" not in given:
         raise InputError("seconds without minutes")

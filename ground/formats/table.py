@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 
 from contract.circular_error import CE90_SIGMAS, LE90_SIGMAS
@@ -22,6 +24,7 @@ from ground.pins.model import Pin
 # What a spreadsheet takes for the beginning of a formula, also after blanks (OWASP, CSV injection).
 _FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n", "\uff1d", "\uff0b", "\uff0d", "\uff20")
 _QUOTE = "'"
+_SEPARATOR = re.compile(r'"?sep=([,;\t])"?\r?\n', re.IGNORECASE)  # a spreadsheet's own line before the first
 COLUMNS = (
     "number", "name", "category", "status", "lat_deg", "lon_deg", "height_ellipsoid_m", "height_amsl_m", "ce90_m",
     "le90_m", "semi_major_m", "semi_minor_m", "azimuth_deg", "time_utc", "who", "vehicle", "frame", "u_px", "v_px",
@@ -88,18 +91,20 @@ def read(data: bytes, who: str = "", now_unix_ns: int = 0) -> Imported:
     out = Imported()
     try:
         text = _decoded(data)
-        delimiter = _delimiter(text)
-        rows = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)
-        names = next(rows, [])
+        stated = _SEPARATOR.match(text)
+        text = text[stated.end() :] if stated else text
+        delimiter = stated[1] if stated else _delimiter(text)
+        reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)
+        names = next(reader, [])
         columns = _columns(names)
-        split = SplitColumns.of(names, columns)
-        for cells in rows:
-            got = {name: cells[k] for name, k in columns.items() if k < len(cells)}
-            if not got.get("lat_deg", "").strip():
+        rows = [(reader.line_num + bool(stated), cells) for cells in reader]
+        split = SplitColumns.of(names, {name: which[0] for name, which in columns.items()}, [row for _, row in rows])
+        head = _Head(len(names), columns, split, delimiter != ",")
+        for line, cells in rows:
+            if not _filled(cells, columns["lat_deg"]).strip():
                 out.left_out += any(cell.strip() for cell in cells)
                 continue
-            make = partial(_pin, got, cells, len(names), split, delimiter != ",", who, now_unix_ns)
-            out.take(f"CSV, line {rows.line_num}", make)
+            out.take(f"CSV, line {line}", partial(_pin, head, cells, who, now_unix_ns))
     except (csv.Error, UnicodeDecodeError) as error:
         raise InputError(f"not a CSV file ({error})") from error
     return out.checked()
@@ -121,35 +126,68 @@ def _delimiter(text: str) -> str:
     return max(",;\t", key=first.count)
 
 
-def _columns(names: Sequence[str]) -> dict[str, int]:
-    """Our name of each column that is known -> its index; our own spelling goes before another."""
+def _columns(names: Sequence[str]) -> dict[str, list[int]]:
+    """Our name of each column that is known -> the indexes of those that are it: of our own spelling, else of others.
+
+    A latitude of ours goes only with a longitude of ours: of two pairs of columns each is a place of its own.
+    """
     plain = [name.strip().lower() for name in names]
-    found = {_COLUMN_OF.get(name, name): k for k, name in reversed(list(enumerate(plain)))}
-    found |= {name: k for k, name in enumerate(plain) if name in COLUMNS}
-    if not {"lat_deg", "lon_deg"} <= set(found):
+    found: dict[str, list[int]] = {}
+    for k, name in enumerate(plain):
+        found.setdefault(_COLUMN_OF.get(name, name), []).append(k)
+    own = {name: [k for k, other in enumerate(plain) if other == name] for name in COLUMNS}
+    if not all(own[half] for half in HALVES):
+        own |= {half: [] for half in HALVES}
+    found |= {name: which for name, which in own.items() if which}
+    if not set(HALVES) <= set(found):
         raise InputError(
             "CSV: its first line must name the columns, among them lat and lon (or latitude and longitude)"
         )
     return found
 
 
-def _pin(
-    got: dict[str, str],
-    cells: Sequence[str],
-    width: int,
-    split: SplitColumns,
-    has_decimal_commas: bool,
-    who: str,
-    now_unix_ns: int,
-) -> Pin:
-    """One row's, of a table whose first line names `width` columns. Raises InputError."""
-    if "".join(cells[width:]).strip():
+@dataclass(frozen=True)
+class _Head:
+    """The first line of a table: its width, where each of our columns is, and what else is part of a place."""
+
+    width: int
+    columns: Mapping[str, Sequence[int]]
+    split: SplitColumns
+    has_decimal_commas: bool
+
+
+def _filled(cells: Sequence[str], which: Sequence[int]) -> str:
+    """The first of some columns' cells that is not empty."""
+    return next((cells[k] for k in which if k < len(cells) and cells[k].strip()), "")
+
+
+def _check_agree(cells: Sequence[str], columns: Mapping[str, Sequence[int]]) -> None:
+    """Raise InputError for a row with two latitudes or longitudes that differ: which of them is meant is not known."""
+    for half, word in zip(HALVES, ("latitude", "longitude"), strict=True):
+        texts = {cells[k].strip() for k in columns[half] if k < len(cells)} - {""}
+        if len(texts) > 1 and len({_as_number(text) for text in texts}) > 1:
+            raise InputError(f"has two {word}s that differ: leave one of them")
+
+
+def _as_number(text: str) -> float | str:
+    """The value of a text that is a number, to a decimetre of a place; else the text."""
+    try:
+        return round(float(text.replace(",", ".")), 6)
+    except ValueError:
+        return text
+
+
+def _pin(head: _Head, cells: Sequence[str], who: str, now_unix_ns: int) -> Pin:
+    """One row's. Raises InputError."""
+    if "".join(cells[head.width :]).strip():
         raise InputError("more cells than the first line names: a text or a number with a comma needs quotes")
-    split.check_system(cells)
+    head.split.check_system(cells)
+    _check_agree(cells, head.columns)
+    got = {name: _filled(cells, which) for name, which in head.columns.items()}
 
     def number(name: str) -> float | None:
         text = got.get(name, "").strip()
-        text = text.replace(",", ".") if has_decimal_commas else text
+        text = text.replace(",", ".") if head.has_decimal_commas else text
         try:
             return float(text) if text else None
         except ValueError as error:
@@ -158,7 +196,7 @@ def _pin(
     degrees = {name: got.get(name, "") for name in HALVES}
     if not degrees["lon_deg"].strip():
         raise InputError("no longitude")
-    place = split.place(cells, degrees)
+    place = head.split.place(cells, degrees)
     try:
         lat, lon = place or (number("lat_deg"), number("lon_deg"))
     except InputError:  # degrees with minutes, or with letters

@@ -10,8 +10,9 @@ from contract.xml_root import xml_root
 MAX_BYTES = 200_000_000
 
 
-def parsed(data: bytes, what: str) -> ET.Element:
-    """The root of a document, its tags without their namespaces: files of places are read whatever theirs is.
+def parsed(data: bytes, what: str, kept: str = "") -> ET.Element:
+    """The root of a document, its tags without their namespaces: files of places are read whatever theirs is. Only
+    those of the namespace `kept` keep it.
 
     Raises InputError for what is no document, and for one that declares entities or a DTD.
     """
@@ -19,6 +20,6 @@ def parsed(data: bytes, what: str) -> ET.Element:
         raise InputError(f"{what}: {len(data)} bytes; at most {MAX_BYTES} are read")
 
     try:
-        return xml_root(data, "a file of places needs none")
+        return xml_root(data, "a file of places needs none", kept)
     except InputError as error:
         raise InputError(f"{what}: {error}") from error

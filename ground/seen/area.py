@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.errors import InputError
+from contract.place_files import NAMES, check_wgs84, kml_values, worded
 from contract.xml_root import xml_root
 
 Array = NDArray[np.float64]
@@ -57,7 +58,14 @@ def sectors_of(name: str, data: bytes) -> list[Sector]:
 
 
 def _sectors(found: Sequence[_Area]) -> list[Sector]:
-    return [Sector(_name(about) or str(number), polygons) for number, (about, polygons) in enumerate(found, 1)]
+    """The areas with their names. One without a name, or with another's, has its number, which is no one's name."""
+    names = [_name(about) for about, _ in found]
+    if not any(names):
+        names = [str(number) for number in range(1, len(names) + 1)]
+    shown: list[str] = []
+    for number, name in enumerate(names, 1):
+        shown.append(f"{name or 'without a name'} ({number})" if not name or name in names[: number - 1] else name)
+    return [Sector(name, polygons) for name, (_, polygons) in zip(shown, found, strict=True)]
 
 
 def read_woods(path: Path) -> list[Woods]:
@@ -108,14 +116,14 @@ def _json(data: bytes) -> object:
 
 def _name(about: dict[str, Any]) -> str:
     """The name among properties, in one line; empty if there is none."""
-    given = about.get("name")
-    return "" if given is None or isinstance(given, dict | list) else " ".join(str(given).split())[:MOST_NAME]
+    return " ".join(worded(about, NAMES).split())[:MOST_NAME]
 
 
 def _features(content: object) -> list[_Area]:
     """The areas of a geometry, a Feature or a FeatureCollection, by feature; what is no area is passed over."""
     if not isinstance(content, dict):
         raise InputError("not GeoJSON: an object is needed")
+    check_wgs84(content)
     if content.get("type") == "FeatureCollection":
         return [area for one in _list(content.get("features"), "features") for area in _features(one)]
     if content.get("type") != "Feature":
@@ -130,7 +138,13 @@ def _placemarks(data: bytes) -> list[_Area]:
     root = xml_root(data, "an area needs none")
     if root.tag != "kml":
         raise InputError(f"not KML: its root is {root.tag[:40]!r}")
-    return [({"name": place.findtext("name", "")}, _kml_polygons(place)) for place in root.iter("Placemark")]
+    return [(_about(place), _kml_polygons(place)) for place in root.iter("Placemark")]
+
+
+def _about(place: ET.Element) -> dict[str, Any]:
+    """A placemark's values; its own name goes before one among them."""
+    name = place.findtext("name")
+    return kml_values(place) | ({"name": name} if name else {})
 
 
 def _kml_polygons(place: ET.Element) -> list[Polygon]:
@@ -153,6 +167,7 @@ def _polygons(content: object) -> list[Polygon]:
     """The polygons of a geometry; what is no area is passed over."""
     if not isinstance(content, dict):
         raise InputError("not GeoJSON: an object is needed")
+    check_wgs84(content)
     kind = content.get("type")
     if kind == "GeometryCollection":
         return [polygon for one in _list(content.get("geometries"), "geometries") for polygon in _polygons(one)]

@@ -206,6 +206,12 @@ def test_the_samples_of_what_people_bring_are_read(shared_data: Path) -> None:
         ("lat,lon,crs\n-43.38,172.40,urn:ogc:def:crs:OGC:1.3:CRS84\n", (-43.38, 172.40)),
         ("lat,lon,crs,x,y\n-43.38,172.40,EPSG:2193,1,2\n", (-43.38, 172.40)),
         ("lat,lon,checked,minutes\n-43.38,172.40,N,12\n", (-43.38, 172.40)),
+        ("lat,lon,direction\n-43.38,172.40,270\n", (-43.38, 172.40)),
+        ("lat,lon,ref\n-43.38,172.40,W7\n", (-43.38, 172.40)),
+        ("lat,ref,lon,ref\n43.38,S1,172.40,W2\n", (43.38, 172.40)),
+        ("sep=;\r\nlat;lon\r\n-43,38;172,40\r\n", (-43.38, 172.40)),
+        ("lat,lon,latitude,longitude\n-43.38,172.40,-43.380,172.4\n", (-43.38, 172.40)),
+        ("lat,lon,latitude,longitude\n,,-43.38,172.40\n", (-43.38, 172.40)),
     ],
 )
 def test_columns_next_to_the_degrees_are_part_of_a_place(table_text: str, expected: tuple[float, float]) -> None:
@@ -224,6 +230,10 @@ def test_columns_next_to_the_degrees_are_part_of_a_place(table_text: str, expect
         ("lat,ns,lon,ew\n-43,N,172,E\n", "both a sign and a hemisphere"),
         ("lat,ns,lon,ew\n43,x,172,E\n", "'x' is no hemisphere"),
         ("lat,lon\n0,0.0\n", "both exactly 0"),
+        ("lat,longitude,latitude,lon\n-43.0,172.4,-43.38,171\n", "two latitudes that differ"),
+        ("latitude,longitude,lat,lon\n-43.38,172.4,-43.38,171\n", "two longitudes that differ"),
+        ("lat_deg,longitude,lat,lon\n-43.38,172.4,-44,171\n", "two latitudes that differ"),
+        ("lat,ns,lon,ew\n43,S1,172,E\n", "'S1' is no hemisphere"),
     ],
 )
 def test_a_table_whose_columns_leave_a_doubt_is_refused(table_text: str, words: str) -> None:
@@ -283,3 +293,64 @@ def test_of_a_marker_that_was_sent_again_the_newest_event_counts() -> None:
     found = read_pins_of("a.cot", "".join(sent).encode())
     assert [lat for _, lat, _ in places(found)] == [-43.2]
     assert found.left_out == 1
+
+
+def names_and_notes(name: str, text: str) -> list[tuple[str, str]]:
+    return [(pin.name, pin.note) for pin in read_pins_of(name, text.encode()).pins]
+
+
+GPX_POINT = (
+    '<gpx xmlns="http://www.topografix.com/GPX/1/1" xmlns:x="https://osmand.net"><wpt lat="47.3" lon="8.6">'
+    "<name>B</name>{}<extensions><x:name>other</x:name><x:ce90_m>3</x:ce90_m></extensions></wpt></gpx>"
+)
+KML_POINT = "<kml><Placemark>{}<Point><coordinates>8.6,47.3</coordinates></Point></Placemark></kml>"
+
+
+def test_the_name_and_note_of_another_program_s_place_are_its_own() -> None:
+    """Extensions and data of others hid them: Garmin's and OsmAnd's waypoints, and QGIS's placemarks, had no name."""
+    assert names_and_notes("a.gpx", GPX_POINT.format("<desc>seen</desc>")) == [("B", "seen")]
+    assert names_and_notes("a.gpx", GPX_POINT.format("<cmt>seen</cmt>")) == [("B", "seen")]
+    data = '<ExtendedData><Data name="color"><value>red</value></Data></ExtendedData>'
+    text = KML_POINT.format(f"<name>B</name><description>seen</description>{data}")
+    assert names_and_notes("a.kml", text) == [("B", "seen")]
+    schema = '<SchemaData><SimpleData name="Name">B</SimpleData><SimpleData name="NOTES">seen</SimpleData></SchemaData>'
+    assert names_and_notes("a.kml", KML_POINT.format(f"<ExtendedData>{schema}</ExtendedData>")) == [("B", "seen")]
+    feature = '{{"type":"Feature","geometry":{{"type":"Point","coordinates":[8.6,47.3]}},"properties":{}}}'
+    for about, expected in (
+        ('{"Name":"B","Description":"seen"}', ("B", "seen")),
+        ('{"name":null,"title":"B","note":""}', ("B", "")),
+        ('{"name":12,"note":true}', ("12", "")),
+    ):
+        assert names_and_notes("a.geojson", feature.format(about)) == [expected]
+    (pin,) = read_pins_of("a.gpx", GPX_POINT.format("").encode()).pins
+    assert pin.clicks[0].covariance_enu_m2 is None  # the figure is another's, of a kind that is not known
+
+
+def test_the_points_of_a_collection_are_pins() -> None:
+    parts = '{"type":"Point","coordinates":[8.6,47.3]},{"type":"LineString","coordinates":[[1,2],[3,4]]}'
+    text = f'{{"type":"Feature","geometry":{{"type":"GeometryCollection","geometries":[{parts}]}}}}'
+    assert places(read_pins_of("a.geojson", text.encode())) == [("", 47.3, 8.6)]
+
+
+def test_a_point_within_the_detail_of_an_event_is_not_its_place() -> None:
+    more = '<shape><point lat="1" lon="2" hae="0"/><contact callsign="x"/><remarks>y</remarks></shape></detail>'
+    (pin,) = read_pins_of("a.cot", TAK.replace("</detail>", more).encode()).pins
+    assert (pin.name, pin.note) == ("U.2.030405", "tracks here")
+    assert (pin.clicks[0].lat_deg, pin.clicks[0].lon_deg) == (-43.38, 172.40)
+
+
+@pytest.mark.parametrize("unknown", ["999999", "999999.0", "99999", "9999999.0"])
+def test_every_row_of_nines_is_unknown(unknown: str) -> None:
+    (pin,) = read_pins_of("a.cot", TAK.replace("9999999.0", unknown).encode()).pins
+    assert pin.clicks[0].height_ellipsoid_m is None and pin.clicks[0].covariance_enu_m2 is None
+
+
+@pytest.mark.parametrize(
+    ("when", "is_moment"),
+    [("2026-09-21", False), ("20260921", False), ("2026-W10", False), ("2026-09-21T14:14:00Z", True),
+     ("2026-09-21 14:14", True), ("20260921T141400Z", True)],
+)  # fmt: skip
+def test_a_day_alone_is_no_moment(when: str, is_moment: bool) -> None:
+    """Taken for midnight, a person was seen hours before anybody looked."""
+    (pin,) = read_pins_of("a.csv", f"lat,lon,time\n47.3,8.6,{when}\n".encode()).pins
+    assert (pin.seen_unix_ns is not None) == is_moment

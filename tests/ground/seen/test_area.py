@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from contract.errors import InputError
 from ground.seen.area import read_sectors, read_woods
 from ground.seen.outline import cells_within
 
@@ -62,3 +63,35 @@ def test_a_polygon_within_the_hole_of_another_is_there(tmp_path: Path) -> None:
     path.write_text(json.dumps({"type": "Feature", "properties": {"canopy": 0.8}, "geometry": shape}))
     (woods,) = read_woods(path)
     assert np.count_nonzero(cells_within(woods.polygons, 20, 20)) == 400 - 100 + 4
+
+
+@pytest.mark.parametrize(
+    ("properties", "names"),
+    [
+        ([{"title": "2", "class": "Shape"}, {"title": "1"}], ["2", "1"]),  # CalTopo's
+        ([{"Name": "S7", "fid": 3}, {"NAME": 8}], ["S7", "8"]),  # QGIS's
+        ([{}, {"name": None}], ["1", "2"]),
+        ([{"name": "2"}, {}], ["2", "without a name (2)"]),
+        ([{"name": "4"}, {"name": "4"}], ["4", "4 (2)"]),
+    ],
+)
+def test_a_sector_has_its_own_name_and_never_another_s(
+    tmp_path: Path, properties: list[dict[str, object]], names: list[str]
+) -> None:
+    """Of sectors that CalTopo calls 2 and 1 the first was stated as sector 1."""
+    features = [{"type": "Feature", "properties": p, "geometry": polygon(FIRST)} for p in properties]
+    path = tmp_path / "sectors.geojson"
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+    assert [sector.name for sector in read_sectors(path)] == names
+
+
+def test_an_area_of_another_system_is_named(tmp_path: Path) -> None:
+    """Degrees of another datum were taken for WGS84, some 200 m away."""
+    crs = {"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::4272"}}
+    feature = {"type": "Feature", "properties": {"canopy": 0.5}, "geometry": polygon(FIRST)}
+    path = tmp_path / "area.geojson"
+    for content in ({"type": "FeatureCollection", "crs": crs, "features": [feature]}, feature | {"crs": crs}):
+        path.write_text(json.dumps(content))
+        for read in (read_sectors, read_woods):
+            with pytest.raises(InputError, match="are of urn:ogc:def:crs:EPSG::4272, and WGS84 is needed"):
+                read(path)
