@@ -140,7 +140,7 @@ def _run_batch(args: argparse.Namespace) -> int:
     if args.u is not None or not args.recording or args.format not in (None, "json") or args.max_age is not None:
         raise UsageError("--batch goes with --from SESSION.mcap, without U, V and --max-age, and writes JSON")
     clicks = read_clicks(args.batch)
-    grid = grid_of(args)
+    grid = grid_of(args, of_several=True)
     with closing(RecordedSource(args.recording, args.vehicle)) as source:
         clicker = Clicker(source, math.inf, is_measured=not args.interpolated)
         for click in clicks:
@@ -159,7 +159,7 @@ def _run_lines(args: argparse.Namespace) -> int:
     """A click a line of standard input; each is answered at once where the format is lines."""
     if sys.stdin is None or sys.stdin.isatty():
         raise UsageError("click needs U and V, or --batch CLICKS.csv, or lines of U V or FRAME U V on standard input")
-    chosen, grid = FORMATS[args.format or "text"], grid_of(args)
+    chosen, grid = FORMATS[args.format or "text"], grid_of(args, of_several=True)
     with _clickers(args) as (clicker, by_frame):
         return _answer_lines(args, chosen, grid, clicker, by_frame)
 

@@ -162,7 +162,7 @@ def _marks(store: PinStore, args: argparse.Namespace) -> list[Mark]:
 
 
 def _list(store: PinStore, args: argparse.Namespace) -> int:
-    grid = grid_of(args)
+    grid = grid_of(args, of_several=True)
     sys.stdout.write(FORMATS[args.format].write(_marks(store, args), grid))
     return ANSWERED
 
@@ -175,7 +175,7 @@ def _export(store: PinStore, args: argparse.Namespace) -> int:
         raise UsageError(
             f"{args.file}: which format? its name may end in {', '.join(sorted(by_name))}; or give --format"
         )
-    grid, marks = grid_of(args), _marks(store, args)
+    grid, marks = grid_of(args, of_several=True), _marks(store, args)
     content: str | bytes
     if name == PACKAGE:
         if not to_file:

@@ -14,6 +14,7 @@ from contract.errors import InputError
 from ground.formats.coordinates import library, utm_to_latlon
 
 MAX_TEXT = 200
+METRES_A_DEGREE = 110_500.0  # of latitude, at least
 FORMS = "-43.38012, 172.40123 or 43°22'48.4\"S 172°24'4.4\"E, or MGRS, or UTM with its zone"
 # What phones and word processors write in place of the plain characters.
 _PLAIN = str.maketrans("−‐‑–º˚’‘′´`ʹ”“″ʺ\u00a0\u2009\u202f", "----°°''''''\"\"\"\"   ")
@@ -87,7 +88,8 @@ def _mgrs(zone: str, square: str, digits: str, more: str | None) -> Coordinate:
             lat, lon = mgrs.MGRS().toLatLon(name)
     except mgrs.core.MGRSError as error:
         raise InputError(f"there is no MGRS square {zone}{square} with these digits") from error
-    if zone[0].isdigit() and not _lies_in(lat, zone[-1]):
+    # Of a square on the border of two bands the middle may be in the other one.
+    if zone[0].isdigit() and not _lies_in(lat, zone[-1], 10 ** (5 - len(x))):
         raise InputError(f"the MGRS square {square} of these digits does not lie in band {zone[-1]}")
     return _checked(lat, lon, "MGRS" if len(x) == 5 else f"MGRS, the middle of a square of {10 ** (5 - len(x))} m")
 
@@ -110,10 +112,10 @@ def _utm(number: str, gap: str, band: str, east: str, north: str) -> Coordinate:
     return _checked(*utm_to_latlon(zone, band == "N", x, y), f"UTM zone {zone} {word}")
 
 
-def _lies_in(lat_deg: float, band: str) -> bool:
-    """Return whether a latitude lies in an MGRS band of 8 degrees (X: 12), or up to 10 m outside of it."""
-    south = -80.0 + 8.0 * _BANDS.index(band)
-    return south - 1e-4 <= lat_deg <= (84.0 if band == "X" else south + 8.0) + 1e-4
+def _lies_in(lat_deg: float, band: str, beyond_m: float = 0.0) -> bool:
+    """Return whether a latitude lies in an MGRS band of 8 degrees (X: 12), or up to 10 m and so much outside of it."""
+    south, beyond_deg = -80.0 + 8.0 * _BANDS.index(band), 1e-4 + beyond_m / METRES_A_DEGREE
+    return south - beyond_deg <= lat_deg <= (84.0 if band == "X" else south + 8.0) + beyond_deg
 
 
 @dataclass(frozen=True)

@@ -125,7 +125,11 @@ class Grid(ABC):
 
     @abstractmethod
     def of(self, mark: Mark) -> Projected:
-        """Convert a mark that has a position."""
+        """Convert a mark that has a position. Raises InputError for one that the system does not reach."""
+
+    def found(self, mark: Mark) -> Projected | None:
+        """The same for one of several marks; None for one that must not cost the others theirs."""
+        return self.of(mark)
 
 
 class LocalGrid(Grid):
@@ -250,10 +254,14 @@ def shape_values(mark: Mark, grid: Grid | None) -> dict[str, object]:
         e = mark.ellipse
         values |= {"semi_major_m": figure(e.semi_major_m), "semi_minor_m": figure(e.semi_minor_m)}
         values["azimuth_deg"] = f"{e.azimuth_deg:.2f}"
-    if grid is not None and mark.is_placed:
-        p = grid.of(mark)
-        values |= {"crs": p.crs, "x": f"{p.x:.9g}", "y": f"{p.y:.9g}"}
+    if grid is not None and mark.is_placed and (p := grid.found(mark)) is not None:
+        values |= {"crs": p.crs, "x": coordinate(p, p.x), "y": coordinate(p, p.y)}
     return values
+
+
+def coordinate(place: Projected, value: float) -> str:
+    """One of a place's two, to the millimetre as `Projected.text`."""
+    return f"{value:.{9 if place.is_degrees else 3}f}"
 
 
 def figure(metres: float | None) -> str | None:

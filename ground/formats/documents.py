@@ -37,12 +37,13 @@ def text_line(mark: Mark, grid: Grid | None = None) -> str:
     """The mark in a line for people."""
     if mark.answer is not None and mark.is_placed:
         rest = mark.answer.to_text()
-        return rest if grid is None else f"{_in(grid, mark)} {rest.partition('  ')[2]}"
+        p = None if grid is None else grid.found(mark)
+        return rest if p is None else f"{p.text}  {p.crs} {rest.partition('  ')[2]}"
     if mark.answer is not None:
         return mark.answer.to_text()
     where = rounded_text("degrees", *mark.position, mark.ce90_m) if mark.is_placed else "-"
-    if grid is not None and mark.is_placed:
-        where = _in(grid, mark)
+    if grid is not None and mark.is_placed and (p := grid.found(mark)) is not None:
+        where = f"{p.text}  {p.crs}"
     name = one_line(mark.name)
     words = (mark.number_text or "-", mark.category, name or "(no name)", where, mark.accuracy_text, mark.time_text)
     return "  ".join(words).rstrip()
@@ -69,9 +70,9 @@ def json_line(mark: Mark, grid: Grid | None = None) -> str:
                 "time_utc": mark.time_text or None, "clicks": mark.clicks, "ties": mark.tied, "id": mark.id,
             }
         )  # fmt: skip
-    if grid is None or not mark.is_placed:
+    p = grid.found(mark) if grid is not None and mark.is_placed else None
+    if p is None:
         return base
-    p = grid.of(mark)
     digits = 9 if p.is_degrees else 3
     more = {
         "name": p.crs, "x": round(p.x, digits), "y": round(p.y, digits), "x_axis": p.x_name, "y_axis": p.y_name,
@@ -181,11 +182,6 @@ def _no_collection() -> Iterator[None]:
 def one_line(text: str) -> str:
     """A text for a terminal: no line feeds, and nothing that steers it."""
     return re.sub(r"\s+", " ", "".join(c if c.isprintable() or c.isspace() else "\ufffd" for c in text)).strip()
-
-
-def _in(grid: Grid, mark: Mark) -> str:
-    p = grid.of(mark)
-    return f"{p.text}  {p.crs}"
 
 
 def _rounded(value: float | None, digits: int = 3) -> float | None:

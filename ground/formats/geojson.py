@@ -77,8 +77,7 @@ def feature(mark: Mark, grid: Grid | None = None) -> dict[str, Any]:
         "clicks": mark.clicks,
         "ties": mark.tied,
     }
-    if grid is not None and mark.is_placed:
-        p = grid.of(mark)
+    if grid is not None and mark.is_placed and (p := grid.found(mark)) is not None:
         properties |= {"crs": p.crs, "x": p.x, "y": p.y, "x_name": p.x_name, "y_name": p.y_name}
     return {"type": "Feature", "id": mark.id, "geometry": geometry, "properties": properties}
 

@@ -15,7 +15,7 @@ from functools import partial
 from contract.circular_error import CE90_SIGMAS, LE90_SIGMAS
 from contract.errors import InputError
 from ground.formats.coordinate_text import read_coordinate
-from ground.formats.coordinates import Grid
+from ground.formats.coordinates import Grid, coordinate
 from ground.formats.imported import Imported, entered_pin
 from ground.formats.mark import Mark
 from ground.formats.split_columns import HALVES, SplitColumns
@@ -57,8 +57,8 @@ def row(mark: Mark, grid: Grid | None = None) -> str:
         safe(mark.reason), safe(mark.id),
     ]  # fmt: skip
     if grid is not None:
-        p = grid.of(mark) if mark.is_placed else None
-        cells += ["", "", ""] if p is None else [safe(p.crs), _figure(p.x, 9 if p.is_degrees else 3), _figure(p.y, 9)]
+        p = grid.found(mark) if mark.is_placed else None
+        cells += ["", "", ""] if p is None else [safe(p.crs), coordinate(p, p.x), coordinate(p, p.y)]
     return _line(cells)
 
 

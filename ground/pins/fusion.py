@@ -11,13 +11,15 @@ from numpy.typing import NDArray
 
 from contract.answer import Ellipse
 from contract.circular_error import ce90_m, le90_m
-from contract.geodesy import LocalFrame
+from contract.geodesy import EARTH_RADIUS_M, LocalFrame
 from ground.chi_square import exceeded_with
 from ground.pins.model import UNKNOWN_HEIGHT_SIGMA_M, PinClick, Tie
 from ground.pins.shared import CONTRADICTION
 from ground.pins.ties import condition
 
 Array = NDArray[np.float64]
+
+SPHERE = 0.01  # share of what an arc is longer than its chord by which the ellipsoid's may differ: twice its radii's
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,8 +195,9 @@ def between(a: Place, b: Place, covariance_enu_m2: Array | None) -> Vector:
     )
     level = LocalFrame(a.lat_deg, a.lon_deg, 0.0 if heights is None else 0.5 * sum(heights))
     d = level.to_enu(b.lat_deg, b.lon_deg, level.height_m)
-    # Both on one level: the chord is below the horizon by its sagitta alone.
-    distance = float(np.linalg.norm(d))
+    # Both on one level: the chord is below the horizon by its sagitta alone, and shorter than the way by the arc's.
+    chord, whole = float(np.linalg.norm(d)), 2.0 * (EARTH_RADIUS_M + level.height_m)
+    distance = whole * math.asin(min(chord / whole, 1.0))
     bearing = math.degrees(math.atan2(float(d[0]), float(d[1]))) % 360.0
     rise = None if heights is None else heights[1] - heights[0]
     if covariance_enu_m2 is None:
@@ -203,7 +206,7 @@ def between(a: Place, b: Place, covariance_enu_m2: Array | None) -> Vector:
     flat = math.hypot(float(d[0]), float(d[1]))
     along = np.array([d[0], d[1]]) / flat if flat > 0.0 else np.array([0.0, 1.0])
     across = np.array([along[1], -along[0]])
-    sigma = math.sqrt(max(float(along @ C[:2, :2] @ along), 0.0))
+    sigma = math.hypot(math.sqrt(max(float(along @ C[:2, :2] @ along), 0.0)), SPHERE * (distance - chord))
     sideways = math.sqrt(max(float(across @ C[:2, :2] @ across), 0.0))
     # A bearing between places closer than their sigma may be any: 104 degrees is one sigma of a uniform circle.
     sigma_bearing = min(math.degrees(math.atan2(sideways, flat)) if flat > 0.0 else 180.0, 180.0)

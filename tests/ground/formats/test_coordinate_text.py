@@ -9,6 +9,7 @@ from contract.errors import InputError
 from contract.geodesy import LocalFrame
 from ground.formats.coordinate_text import read_coordinate
 from ground.formats.coordinates import latlon_text, mgrs_text, utm_text
+from ground.formats.rounded import rounded_text
 
 
 @pytest.mark.parametrize(
@@ -59,6 +60,17 @@ def test_all_that_we_print_is_read_back_anywhere_on_earth() -> None:
         for text, limit_m in texts:
             found = read_coordinate(text)
             assert _apart_m(found.lat_deg, found.lon_deg, lat, lon) < limit_m, text
+
+
+@pytest.mark.parametrize("ce90_m", [0.5, 20.0, 150.0, 900.0, 8000.0])
+def test_what_is_handed_on_is_read_back_where_bands_and_zones_end(ce90_m: float) -> None:
+    """A square of 1 km on the border of two bands, at 40 N say, was refused: its middle lies in the other band."""
+    for lat in (-79.9999, -72.0, -8.0, 0.0, 8.0, 32.0, 40.0, 55.99999, 63.99999, 72.0, 83.99999):
+        for lon in (-180.0, -126.0000001, -6.0, 2.99999, 3.0, 11.99999, 126.0, 173.9999999, 180.0):
+            for form in ("degrees", "minutes", "seconds", "mgrs", "utm"):
+                text = rounded_text(form, lat, lon, ce90_m)
+                found = read_coordinate(text)
+                assert _apart_m(found.lat_deg, found.lon_deg, lat, lon) < 0.2 * ce90_m + 0.8, (text, lat, lon)
 
 
 def _apart_m(lat_a: float, lon_a: float, lat_b: float, lon_b: float) -> float:

@@ -1,5 +1,6 @@
 """Formats as others read them: GDAL, gpxpy, mgrs, pyproj, takproto; back again without loss; hostile texts."""
 
+import argparse
 import csv
 import dataclasses
 import io
@@ -21,6 +22,7 @@ import takproto
 from contract.answer import Ellipse, Refusal
 from contract.errors import InputError
 from contract.feature_set import Status
+from ground.commands.grids import grid_of
 from ground.formats import cot, geojson, gpx, kml, table
 from ground.formats.coordinates import LocalGrid, Projection, latlon_text, mgrs_text, utm_text
 from ground.formats.documents import FORMATS, json_line, read_pins, text_line
@@ -233,6 +235,26 @@ def test_any_epsg_system_with_its_own_names_and_accuracy() -> None:
             Projection(code)
     with pytest.raises(InputError, match="does not reach"):
         Projection("EPSG:27700").of(mark)
+
+
+def test_a_pin_that_a_system_does_not_reach_does_not_cost_the_others_theirs(capsys: pytest.CaptureFixture[str]) -> None:
+    here = Mark("a", "gate", "ok", lat_deg=-43.38, lon_deg=172.4)
+    there = Mark("b", "London", "ok", lat_deg=51.5, lon_deg=-0.1)
+    options = argparse.Namespace(local=None, crs="EPSG:2193")
+    grid = grid_of(options, of_several=True)
+    easting = str(int(Projection("EPSG:2193").of(here).x))
+    for name in ("text", "json", "geojson", "kml", "gpx", "csv"):
+        text = FORMATS[name].write([here, there], grid)
+        assert text.count(easting) == 1 and "51.5" in text, name
+    assert capsys.readouterr().err.count("London, in degrees: EPSG:2193") == 1
+    with pytest.raises(InputError, match="does not reach"):
+        text_line(there, grid_of(options))
+
+
+def test_degrees_of_another_system_are_as_precise_in_every_file() -> None:
+    """Those of KML and GPX had six decimals, which are 0.1 m."""
+    mark = Mark("m", "m", "ok", lat_deg=-43.380123456, lon_deg=172.400123456)
+    assert all(write([mark], Projection("EPSG:4167")).count("172.4001234") == 2 for write in (kml.write, gpx.write))
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 import dataclasses
 
 import numpy as np
+import pyproj
 import pytest
 from numpy.typing import NDArray
 
@@ -246,3 +247,16 @@ def test_what_two_sets_share_is_computed_once_and_never_taken_for_another_pair(m
         other = dataclasses.replace(clicks[4], errors=dataclasses.replace(one, **changed))
         fuse([*clicks[:4], other])
         assert len(asked) == before + 4, changed
+
+
+@pytest.mark.parametrize("far_m", [100.0, 30e3, 300e3, 3e6])
+def test_the_distance_between_pins_is_the_way_over_the_ground(far_m: float) -> None:
+    """The chord beneath is 1 m shorter at 100 km and 1 km at 1,000 km, which a sigma of decimetres did not hold."""
+    rng, geod = np.random.default_rng(8), pyproj.Geod(ellps="WGS84")
+    for _ in range(20):
+        lat, lon, azimuth = rng.uniform(-80, 80), rng.uniform(-180, 180), rng.uniform(0, 360)
+        to_lon, to_lat, _ = geod.fwd(lon, lat, azimuth, far_m)
+        found = vector(*[[PinClick.entered(*at, sigma_m=0.05)] for at in ((lat, lon), (to_lat, to_lon))])
+        assert isinstance(found, Vector) and found.sigma_distance_m is not None
+        assert abs(found.distance_m - far_m) < 1.2 * found.sigma_distance_m
+        assert found.sigma_distance_m < 0.08 + 0.02 * far_m * (far_m / 6.3e6) ** 2 / 24.0
