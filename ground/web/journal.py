@@ -48,14 +48,19 @@ class Journal:
             self._recorder.take(key, payload)
 
     def recent(self, within_s: float) -> Iterator[tuple[Path, float, Iterator[Kept]]]:
-        """The files of earlier runs that were written within so many seconds, the newest first, with their age (s)."""
+        """The files of earlier runs whose last message came within so many seconds, the newest first, with its age (s).
+
+        A file's own time states only when it was written: a copy of yesterday's is of today.
+        """
         files = []
         for path in self.folder.glob("*.mcap"):
-            written_s = path.stat().st_mtime
-            if self.begun_unix_s - within_s <= written_s < self.begun_unix_s:
-                files.append((written_s, path))
-        for written_s, path in sorted(files, reverse=True):
-            yield path, max(time.time() - written_s, 0.0), _messages(path)
+            if not self.begun_unix_s - within_s <= path.stat().st_mtime < self.begun_unix_s:
+                continue
+            last_s = max((came_ns for *_, came_ns in _messages(path)), default=0) / 1e9
+            if self.begun_unix_s - within_s <= last_s < self.begun_unix_s:
+                files.append((last_s, path))
+        for last_s, path in sorted(files, reverse=True):
+            yield path, max(time.time() - last_s, 0.0), _messages(path)
 
     def close(self) -> None:
         """Write what was taken to the disk, and end."""

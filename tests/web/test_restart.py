@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import os
+import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from contract.topics import FEATURES
+from contract.wire.codec import encode
+from ground.link_recorder import LinkRecorder
 from ground.web.journal import Journal, _make_room
 from ground.web.live import LiveSource
 from onboard.link.publisher import Publisher, Rate
@@ -102,6 +107,23 @@ def test_sets_of_before_do_not_make_their_session_the_one_that_runs(tmp_path: Pa
     finally:
         source.close()
         publisher.close()
+
+
+def test_a_copy_of_yesterday_s_journal_is_not_of_today(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Copied or restored, its files bear today's time: the page had yesterday's aircraft in flight, and well."""
+    taken = {"copy": 86_400.0, "own": 120.0, "ahead": -7200.0}  # by so much before now
+    for name, ago_s in taken.items():
+        with monkeypatch.context() as at, LinkRecorder(tmp_path / name) as recorder:
+            came_ns = time.time_ns() - round(ago_s * 1e9)
+            at.setattr("ground.link_recorder.time.time_ns", partial(int, came_ns))
+            recorder.take(FEATURES.key(VEHICLE), encode(rendered_set(3)))
+    for name in taken:
+        journal = Journal(tmp_path / name)
+        journal.begun_unix_s += 60.0
+        found = [(age_s, len(list(messages))) for _, age_s, messages in journal.recent(3600.0)]
+        journal.close()
+        assert len(found) == (name == "own"), name
+        assert all(count == 1 and age_s == pytest.approx(120.0, abs=60.0) for age_s, count in found)
 
 
 def test_the_journal_makes_room_and_stops_before_the_disk_is_full(
