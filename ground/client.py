@@ -47,6 +47,7 @@ PICTURE_TIMEOUT_S = 8.0  # of a picture asked for by its number or its time, whi
 RENEW_S = 8.0
 RENEWAL_PERIOD_S = 0.1  # between looks at the link, and at what is in doubt
 MOST_REFUSING = 256  # vehicles that refuse one question to all: a peer may invent names
+ALONE_S = 3.0  # without another program at the other end, before it is reported; zenoh looks every second
 FIRST_RETRY_S = 1.0  # after a renewal that failed; twice as long each time, at most RENEW_S
 
 
@@ -248,6 +249,7 @@ class SetCache(Closing):
         self._systems = RadioSystems()
         self._received_s = self._renewed_s = time.monotonic()
         self._retry_s = FIRST_RETRY_S
+        self._alone_s: float | None = None  # since when no one is at the other end
         self._failure: Exception | None = None  # of the last attempt to open the link again
         self._is_closed = False
         self._session: Any = None
@@ -360,6 +362,12 @@ class SetCache(Closing):
         session = self._session
         return self._renewal.trouble or (session.trouble if isinstance(session, MavlinkSets) else "")
 
+    @property
+    def unreached(self) -> str:
+        """The words for a link that has had no one at its other end for a while; empty for any other."""
+        is_alone = self._alone_s is not None and time.monotonic() - self._alone_s > ALONE_S
+        return f"nothing listens at {self._ways[0]}" if is_alone else ""
+
     def locator(self, feature_set: FeatureSet) -> Locator:
         """A Locator of a set, the last one of each vehicle kept: repeated clicks on one picture are solved once."""
         with self._lock:
@@ -409,6 +417,10 @@ class SetCache(Closing):
         self._ask_doubtful()
         now_s = time.monotonic()
         with self._lock:
+            if _is_alone(self._session):
+                self._alone_s = self._alone_s or now_s
+            elif self._session is not None:
+                self._alone_s = None
             if isinstance(self._session, MavlinkSets) and self._session.refusal:
                 return  # it was turned away, and would be again
             is_down = self._session is None
@@ -522,6 +534,13 @@ def open_link(mode: str, endpoint: str, tls: Tls | None) -> Any:
                 f"nothing listens at {endpoint}: does pc-onboard run there, and does its link.listen open it?"
             ) from error
         raise LinkError(f"cannot open the link to {endpoint}: {reason}") from error
+
+
+def _is_alone(session: Any) -> bool:
+    """Return whether a zenoh session is open that is connected to no one."""
+    if session is None or isinstance(session, MavlinkSets):
+        return False
+    return not (session.info.routers_zid() or session.info.peers_zid())
 
 
 def _close(session: Any) -> None:

@@ -140,13 +140,14 @@ def run(args: argparse.Namespace) -> int:
                 age_s, rate_hz, doubt = cache.age_s(name), received.rate_hz(name), cache.doubt(name)
                 if age_s is None and state is not None and (when := stamped_elsewhen(state.unix_s, time.time())):
                     doubt = f"the status is {when}: it is old, or a clock is wrong"
-                amiss = "; ".join(text for text in (doubt, cache.link_error) if text)
+                amiss = "; ".join(text for text in (doubt, cache.link_error or cache.unreached) if text)
                 silent_s = received.silent_s(name)
                 silence = _Silence(received.set_silent_s(name), silent_s)
                 row = _row(name, newest, state, age_s, rate_hz, amiss, cache.is_certain(name), silence)
                 rows.append(_reporting(row, newest, state, silent_s))
             if not rows and not args.json:
-                print(f"nothing received yet{f': {cache.link_error}' if cache.link_error else ''}", file=sys.stderr)
+                why = cache.link_error or cache.unreached
+                print(f"nothing received yet{f': {why}' if why else ''}", file=sys.stderr)
             _show(rows, tracks.newest(cache.stamped_ago_s), found, args.json, is_screen)
             warnings.show(cache.dropped.lines(), always=is_screen)
             shown += 1

@@ -20,6 +20,12 @@ class FakeSession:
     def __init__(self, close_error: Exception | None = None, listen_error: Exception | None = None) -> None:
         self.is_closed = False
         self.close_error, self.listen_error = close_error, listen_error
+        self.info = self
+
+    def routers_zid(self) -> list[object]:
+        return []
+
+    peers_zid = routers_zid
 
     def declare_subscriber(self, key: str, handler: Callable[[object], None]) -> object:
         if self.listen_error is not None:
@@ -148,3 +154,15 @@ def test_a_watched_thread_that_hangs_is_reported_and_does_not_hold_up_its_end(mo
     assert not watched.close(within_s=0.05)
     release.set()
     assert watched.close()
+
+
+def test_a_link_with_no_one_at_its_other_end_is_named_until_there_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`watch` waited for an aircraft at a mistyped address, and did not say that nothing was there."""
+    monkeypatch.setattr(client, "ALONE_S", 0.05)
+    alone = FakeSession()
+    monkeypatch.setattr(client, "open_link", Opener(alone, *(alone for _ in range(1000))))
+    with SetCache("tcp/nowhere:1") as cache:
+        assert eventually(lambda: cache.unreached == "nothing listens at tcp/nowhere:1")
+        assert cache.link_error == ""
+        monkeypatch.setattr(FakeSession, "peers_zid", lambda _: ["someone"])
+        assert eventually(lambda: cache.unreached == "")
