@@ -138,6 +138,7 @@ class Fix:
     above_ground_m: float | None = None  # of what was measured, and its one sigma
     sigma_above_ground_m: float | None = None
     unmeasured: str = ""  # why it was not, where that was asked for
+    is_recorded: bool = False  # the age is that before the end of a recording, and not before now
 
     @property
     def status(self) -> Status:
@@ -191,7 +192,7 @@ class Fix:
             f"{e.rounded(self.lat_deg, self.lon_deg)}  {height} +-{self.sigma_height_m:.1f} m  "
             f"{CONFIDENCE:.0%} ellipse {e.semi_major_m:.1f} x {e.semi_minor_m:.1f} m at {e.azimuth_deg:.0f} deg  "
             f"{self.method_text}  frame {self.frame} of {self.vehicle} at {time_utc(self.capture_unix_ns)}, "
-            f"{age_text(self.age_s)}"
+            f"{age_text(self.age_s, self.is_recorded)}"
         )
 
 
@@ -205,6 +206,7 @@ class Refusal:
     vehicle: str | None = None
     detail: str = ""
     age_s: float | None = None
+    is_recorded: bool = False
 
     def to_json(self) -> str:
         """One line."""
@@ -226,7 +228,7 @@ class Refusal:
 
     def to_text(self) -> str:
         """One line for people."""
-        age = "" if self.capture_unix_ns is None else f", {age_text(self.age_s)}"
+        age = "" if self.capture_unix_ns is None else f", {age_text(self.age_s, self.is_recorded)}"
         where = "" if self.frame is None else f" (frame {self.frame}{age})"
         return f"{self.status.value}: {self.reason}{where}"
 
@@ -234,8 +236,11 @@ class Refusal:
 Answer = Fix | Refusal
 
 
-def age_text(age_s: float | None) -> str:
-    return "of unknown age" if age_s is None else f"{age_s:.1f} s old"
+def age_text(age_s: float | None, is_recorded: bool = False) -> str:
+    """The age of a picture for people; that of a recorded one is no age by now."""
+    if age_s is None:
+        return "of unknown age"
+    return f"{age_s:.1f} s before the recording's end" if is_recorded else f"{age_s:.1f} s old"
 
 
 def time_utc(unix_ns: int) -> str:

@@ -10,7 +10,7 @@ import argparse
 import math
 import re
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from functools import partial
 from pathlib import Path
@@ -49,6 +49,7 @@ examples:
   pc-ground click --from SESSION.mcap --format kml < clicks.txt > clicks.kml    lines of U V, or FRAME U V
 """
 
+_WITH_COMMAS = re.compile(r"[^\s,]+((,[^\s,]+)*|(\s*,\s+[^\s,]+)*)")  # between all numbers, in one way
 
 AnyClicker = Clicker | AskedClicker
 
@@ -211,8 +212,10 @@ def _print_answer(chosen: Format, mark: Mark, grid: Grid | None) -> None:
 
 def line_click(line: str) -> Click:
     """`U V` or `FRAME U V`, by blanks or commas; what follows a # is left out. Raises InputError."""
-    words: Iterable[str] = re.split(r"[\s,]+", line.split("#", maxsplit=1)[0].strip())
-    parts = list(words)
+    text = line.split("#", maxsplit=1)[0].strip()
+    if "," in text and not _WITH_COMMAS.fullmatch(text):
+        raise InputError(f"{text[:60]!r}: are these commas decimal? write points, or commas between all numbers")
+    parts = re.split(r"[\s,]+", text)
     if len(parts) not in (2, 3):
         raise InputError(f"{line.strip()[:60]!r} is not U V or FRAME U V")
     try:

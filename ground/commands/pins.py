@@ -211,6 +211,8 @@ def _add(store: PinStore, args: argparse.Namespace) -> int:
 def _entered(args: argparse.Namespace) -> PinClick:
     if args.u is not None:
         raise UsageError("--at is in place of U and V")
+    if args.le90 is not None and (args.height_amsl is None or args.ce90 is None):
+        raise UsageError("--le90 goes with --height-amsl and --ce90")
     return PinClick.entered(
         *args.at, height_amsl_m=args.height_amsl, sigma_m=None if args.ce90 is None else args.ce90 / CE90_SIGMAS,
         sigma_height_m=None if args.le90 is None else args.le90 / LE90_SIGMAS, who=args.who,
@@ -220,6 +222,8 @@ def _entered(args: argparse.Namespace) -> PinClick:
 def _clicked(args: argparse.Namespace) -> PinClick | Refusal:
     if args.u is None or args.v is None:
         raise UsageError("which place? give U and V of a pixel, or --at LAT,LON")
+    if any(value is not None for value in (args.ce90, args.le90, args.height_amsl)):
+        raise UsageError("--ce90, --le90 and --height-amsl are of a coordinate, --at: a pixel's answer has its own")
     answer, locator = _answered(args)
     if isinstance(answer, Refusal) or locator is None:
         assert isinstance(answer, Refusal)

@@ -225,6 +225,12 @@ class Clicker:
         unix_s: float | None = None,
     ) -> tuple[Answer, Locator | None]:
         """The answer, and what gave it, if a set did."""
+        answer, locator = self._answer(u_px, v_px, frame, file, unix_s)
+        return replace(answer, is_recorded=self._source.is_recorded), locator
+
+    def _answer(
+        self, u_px: float, v_px: float, frame: int | None, file: str | None, unix_s: float | None
+    ) -> tuple[Answer, Locator | None]:
         reply = self._source.reply(Asked(frame, file, unix_s, (u_px, v_px) if self._is_measured else None))
         found = reply.fresh(self._max_age_s)
         if isinstance(found, Refusal):

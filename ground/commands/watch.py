@@ -109,7 +109,7 @@ def run(args: argparse.Namespace) -> int:
     if args.recording is not None:
         recording = opened(args.recording)
         names = [args.vehicle] if args.vehicle in recording.vehicles else recording.vehicles
-        rows = [_row(name, recording.newest_picture(name), None, 0.0, None) for name in names]
+        rows = [_row(name, recording.newest_picture(name), None, None, None) for name in names]
         followed = [report for name in names for report in _last_followed(recording, name)]
         found = ReceivedSpots()
         found.read(recording, names)

@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 
 from contract.answer import time_utc
+from contract.errors import InputError
 from contract.feature_set import FeatureSet, Status
 from contract.locate import locate
 from contract.wire.codec import decode, encode
 from ground.__main__ import main
+from ground.commands.click import line_click
 from tests.ground.recorded import record
 from tests.ground.worlds import CAMERA, build
 
@@ -150,3 +152,15 @@ def test_the_age_in_a_recording_is_against_its_newest_picture(session: str, caps
     assert "frame 3, 0.0 s old, is refused: turning: the aircraft was turning too fast" in str(answer["reason"])
     assert click("--frame", "3")[1]["age_s"] == 0.0
     assert click("--frame", "77")[1]["age_s"] is None
+
+
+@pytest.mark.parametrize("line", ["38,5 384", "416,5, 384", "416, 384,5", "14 480,120"])
+def test_a_line_with_commas_that_may_be_decimal_is_no_click(line: str) -> None:
+    """Pixel 38,5 384 was answered as pixel 5 384 of picture 38."""
+    with pytest.raises(InputError, match="are these commas decimal"):
+        line_click(line)
+
+
+@pytest.mark.parametrize("line", ["14 480 120", "14,480,120", "14, 480, 120", "14 , 480 , 120 # tent"])
+def test_a_line_of_one_kind_of_separator_is_a_click(line: str) -> None:
+    assert line_click(line) == (14, 480.0, 120.0)
