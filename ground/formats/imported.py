@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import uuid
 from collections.abc import Callable
@@ -58,14 +59,18 @@ def entered_pin(
     time_text: object = "",
     now_unix_ns: int = 0,
 ) -> Pin:
-    """A pin at a place that was not clicked; texts are cut to what is kept. Raises InputError for no such place."""
+    """A pin at a place that was not clicked; texts are cut to what is kept. Raises InputError for no such place.
+
+    A height that is no number, and a sigma that is not above 0, are not known: the place is all the same.
+    """
     if lat_deg == 0.0 and lon_deg == 0.0:
         raise InputError("latitude and longitude are both exactly 0: what programs write where there is no place")
     words = {c.value for c in Category}
     when = unix_ns_of(time_text) if isinstance(time_text, str) else None
     click = PinClick.entered(
-        lat_deg, lon_deg, height_ellipsoid_m=height_ellipsoid_m, height_amsl_m=height_amsl_m, sigma_m=sigma_m,
-        sigma_height_m=sigma_height_m, who=who, clicked_unix_ns=now_unix_ns, seen_unix_ns=when,
+        lat_deg, lon_deg, height_ellipsoid_m=_finite(height_ellipsoid_m), height_amsl_m=_finite(height_amsl_m),
+        sigma_m=_positive(sigma_m), sigma_height_m=_positive(sigma_height_m), who=who, clicked_unix_ns=now_unix_ns,
+        seen_unix_ns=when,
     )  # fmt: skip
     return Pin(
         uuid.uuid4().hex, 0, _text(name, MAX_NAME), _text(note, MAX_NOTE),
@@ -90,6 +95,14 @@ def unix_ns_of(text: str) -> int | None:
     whole = moment - datetime(1970, 1, 1, tzinfo=UTC)
     ns = (whole.days * 86_400 + whole.seconds) * 1_000_000_000 + whole.microseconds * 1000
     return ns if ns >= 0 else None
+
+
+def _finite(value: float | None) -> float | None:
+    return value if value is not None and math.isfinite(value) else None
+
+
+def _positive(value: float | None) -> float | None:
+    return value if value is not None and 0.0 < value < math.inf else None
 
 
 def _text(value: object, most: int) -> str:

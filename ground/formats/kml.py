@@ -127,7 +127,7 @@ def _take_all(out: Imported, root: ET.Element, is_packed: bool, who: str, now_un
     """Take the points of one document; a link to places that are elsewhere is noted as one that cannot be read."""
     ours = {id(p) for folder in root.iter("Folder") if folder.findtext("name") == ELLIPSES for p in folder}
     for place in root.iter("Placemark"):
-        if id(place) in ours:
+        if id(place) in ours or place.get("targetId") is not None:  # a change of another placemark is no place
             continue
         points = list(place.iter("Point"))  # deeper too, as in a MultiGeometry
         out.left_out += not points

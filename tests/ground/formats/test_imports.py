@@ -354,3 +354,27 @@ def test_a_day_alone_is_no_moment(when: str, is_moment: bool) -> None:
     """Taken for midnight, a person was seen hours before anybody looked."""
     (pin,) = read_pins_of("a.csv", f"lat,lon,time\n47.3,8.6,{when}\n".encode()).pins
     assert (pin.seen_unix_ns is not None) == is_moment
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("a.cot", TAK.replace('ce="9999999.0" le="9999999.0"', 'ce="-1" le="-1"')),
+        ("a.cot", TAK.replace("9999999.0", "NaN")),
+        ("a.csv", "lat,lon,height_amsl_m,ce90_m,le90_m\n-43.38,172.40,nan,0,0\n"),
+        ("a.gpx", '<gpx><wpt lat="-43.38" lon="172.40"><ele>NaN</ele></wpt></gpx>'),
+    ],
+)
+def test_a_height_or_an_accuracy_that_is_none_does_not_cost_the_place(name: str, text: str) -> None:
+    (pin,) = read_pins_of(name, text.encode()).pins
+    click = pin.clicks[0]
+    assert (click.lat_deg, click.lon_deg, click.covariance_enu_m2) == (-43.38, 172.40, None)
+    assert click.height_amsl_m is None and click.height_ellipsoid_m is None
+
+
+def test_a_change_of_a_placemark_is_no_place() -> None:
+    change = (
+        '<Update><Change><Placemark targetId="a"><Point><coordinates>1,2</coordinates></Point></Placemark></Change>'
+    )
+    text = KML_POINT.format("<name>B</name>").replace("<kml>", f"<kml>{change}</Update>")
+    assert places(read_pins_of("a.kml", text.encode())) == [("B", 47.3, 8.6)]
