@@ -37,7 +37,7 @@ from ground.freshness import Later, Reply
 from ground.last_received import MOST_VEHICLES, LastReceived
 from ground.mavlink_endpoint import SCHEME, MavlinkEndpoint
 from ground.mavlink_sets import MavlinkSets, RadioSystems
-from ground.presence import is_through_router, vehicles_there
+from ground.presence import Alone, is_through_router, vehicles_there
 from ground.received_sets import ReceivedSets, check_is_one
 from ground.watched_thread import WatchedThread
 
@@ -47,7 +47,6 @@ PICTURE_TIMEOUT_S = 8.0  # of a picture asked for by its number or its time, whi
 RENEW_S = 8.0
 RENEWAL_PERIOD_S = 0.1  # between looks at the link, and at what is in doubt
 MOST_REFUSING = 256  # vehicles that refuse one question to all: a peer may invent names
-ALONE_S = 3.0  # without another program at the other end, before it is reported; zenoh looks every second
 FIRST_RETRY_S = 1.0  # after a renewal that failed; twice as long each time, at most RENEW_S
 
 
@@ -246,10 +245,9 @@ class SetCache(Closing):
         self._locators: dict[str, Locator] = {}
         self._lock = threading.Lock()
         self._ways = endpoint, tls, FEATURES.key(vehicle)
-        self._systems = RadioSystems()
+        self._systems, self._alone = RadioSystems(), Alone()
         self._received_s = self._renewed_s = time.monotonic()
         self._retry_s = FIRST_RETRY_S
-        self._alone_s: float | None = None  # since when no one is at the other end
         self._failure: Exception | None = None  # of the last attempt to open the link again
         self._is_closed = False
         self._session: Any = None
@@ -364,9 +362,8 @@ class SetCache(Closing):
 
     @property
     def unreached(self) -> str:
-        """The words for a link that has had no one at its other end for a while; empty for any other."""
-        is_alone = self._alone_s is not None and time.monotonic() - self._alone_s > ALONE_S
-        return f"nothing listens at {self._ways[0]}" if is_alone else ""
+        """The words for a link that has had no one at its other end for a while, else empty."""
+        return f"nothing listens at {self._ways[0]}" if self._alone.is_long(time.monotonic()) else ""
 
     def locator(self, feature_set: FeatureSet) -> Locator:
         """A Locator of a set, the last one of each vehicle kept: repeated clicks on one picture are solved once."""
@@ -411,16 +408,12 @@ class SetCache(Closing):
 
     def _renew_if_silent(self) -> None:
         """Begin again after a long time without messages: over udp a subscription that was lost is never sent again.
-
         Raises LinkError, and is called again.
         """
         self._ask_doubtful()
         now_s = time.monotonic()
         with self._lock:
-            if _is_alone(self._session):
-                self._alone_s = self._alone_s or now_s
-            elif self._session is not None:
-                self._alone_s = None
+            self._alone.note(self._session, now_s)
             if isinstance(self._session, MavlinkSets) and self._session.refusal:
                 return  # it was turned away, and would be again
             is_down = self._session is None
@@ -534,13 +527,6 @@ def open_link(mode: str, endpoint: str, tls: Tls | None) -> Any:
                 f"nothing listens at {endpoint}: does pc-onboard run there, and does its link.listen open it?"
             ) from error
         raise LinkError(f"cannot open the link to {endpoint}: {reason}") from error
-
-
-def _is_alone(session: Any) -> bool:
-    """Return whether a zenoh session is open that is connected to no one."""
-    if session is None or isinstance(session, MavlinkSets):
-        return False
-    return not (session.info.routers_zid() or session.info.peers_zid())
 
 
 def _close(session: Any) -> None:

@@ -15,6 +15,7 @@ from contract.vehicle_status import VehicleStatus
 from contract.wire.message import read_status
 
 TOKENS_TIMEOUT_S = 2.0  # of a link that does not answer; one that does takes its round trip
+ALONE_S = 3.0  # without another program at the other end, before it is reported; zenoh looks every second
 SILENT_S = 3.0  # of an aircraft without a token, which sends a status a second
 MOST = 2000  # vehicles: a peer may invent names
 
@@ -41,6 +42,23 @@ def vehicles_there(session: Any) -> list[str]:
 def is_through_router(session: Any) -> bool:
     """Return whether a session is connected to a router, and so perhaps to many aircraft."""
     return bool(session.info.routers_zid())
+
+
+class Alone:
+    """The time since when an open session is connected to no one. `note` is called again and again."""
+
+    def __init__(self) -> None:
+        self._since_s: float | None = None
+
+    def note(self, session: Any, now_s: float) -> None:
+        """Look at a session; one that is being opened (None), or is none of zenoh's, changes nothing."""
+        if not hasattr(session, "info"):
+            return
+        is_met = bool(session.info.routers_zid() or session.info.peers_zid())
+        self._since_s = None if is_met else self._since_s or now_s
+
+    def is_long(self, now_s: float) -> bool:
+        return self._since_s is not None and now_s - self._since_s > ALONE_S
 
 
 class Presence:

@@ -19,6 +19,7 @@ from ground.commands import ANSWERED, REFUSED
 from ground.commands.picture_rows import read_picture_rows
 from ground.commands.sources import Clicker, RecordedSource, add_source_arguments
 from ground.commands.values import finite
+from ground.formats.split_columns import HALVES, SplitColumns
 from ground.link_options import UsageError
 
 EXAMPLES = """\
@@ -157,12 +158,22 @@ def read_marks(path: Path) -> list[Surveyed]:
     return out
 
 
+def _place(row: dict[str, str]) -> tuple[float, float]:
+    """Latitude and longitude, with what columns next to them state of either: minutes, hemisphere, system. Raises
+    InputError.
+    """
+    names, cells = list(row), list(row.values())
+    split = SplitColumns.of(names, {half: names.index(half) for half in HALVES})
+    split.check_system(cells)
+    return split.place(cells, row) or (finite(row["lat_deg"]), finite(row["lon_deg"]))
+
+
 def _surveyed(row: dict[str, str], picture: int | str, number: int) -> Surveyed:
     def optional(name: str) -> float | None:
         cell = row.get(name, "").strip()
         return finite(cell) if cell else None
 
-    lat, lon = finite(row["lat_deg"]), finite(row["lon_deg"])
+    lat, lon = _place(row)
     if not (-90.0 <= lat <= 90.0 and -180.0 <= lon <= 180.0):
         raise ValueError(f"{lat:g} {lon:g} is no latitude and longitude")
     sigma = optional("sigma_m") or 0.0

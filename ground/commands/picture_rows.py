@@ -39,7 +39,7 @@ def read_picture_rows(
                 try:
                     picture = frame_number(cells[which]) if which == "frame" else file_name(cells[which])
                     out.append(made(cells, picture, len(out) + 1))
-                except (ValueError, argparse.ArgumentTypeError) as error:
+                except (ValueError, InputError, argparse.ArgumentTypeError) as error:
                     raise InputError(f"{path}, line {rows.line_num}: {error}") from error
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from error

@@ -80,9 +80,10 @@ def _has_digit(row: Sequence[str], index: int) -> bool:
 
 def _part_of(word: str, before: str) -> tuple[str, str]:
     """The half and the part that a column's name means, both empty for any other; `before`: of the column before it."""
+    named = next((half for half, letters in _LETTERS.items() if word in letters), "")
+    if named:
+        return named, "letter"  # whatever it stands next to
     for half, side in _SIDES.items():
-        if word in _LETTERS[half]:
-            return half, "letter"
         for part, name in _PARTS.items():
             if re.fullmatch(f"{side}{name}|{name}{side}", word) or (before == half and re.fullmatch(name, word)):
                 return half, part

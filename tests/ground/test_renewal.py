@@ -8,7 +8,7 @@ import pytest
 import zenoh
 
 from contract.errors import LinkError
-from ground import client
+from ground import client, presence
 from ground.client import SetCache
 from ground.watched_thread import WatchedThread
 from tests.waiting import PATIENCE_S, eventually
@@ -158,7 +158,7 @@ def test_a_watched_thread_that_hangs_is_reported_and_does_not_hold_up_its_end(mo
 
 def test_a_link_with_no_one_at_its_other_end_is_named_until_there_is(monkeypatch: pytest.MonkeyPatch) -> None:
     """`watch` waited for an aircraft at a mistyped address without a word of it."""
-    monkeypatch.setattr(client, "ALONE_S", 0.05)
+    monkeypatch.setattr(presence, "ALONE_S", 0.05)
     alone = FakeSession()
     monkeypatch.setattr(client, "open_link", Opener(alone, *(alone for _ in range(1000))))
     with SetCache("tcp/nowhere:1") as cache:

@@ -206,6 +206,7 @@ def test_the_samples_of_what_people_bring_are_read(shared_data: Path) -> None:
         ("lat,lon,crs\n-43.38,172.40,urn:ogc:def:crs:OGC:1.3:CRS84\n", (-43.38, 172.40)),
         ("lat,lon,crs,x,y\n-43.38,172.40,EPSG:2193,1,2\n", (-43.38, 172.40)),
         ("lat,lon,checked,minutes\n-43.38,172.40,N,12\n", (-43.38, 172.40)),
+        ("lat,lon,ns,ew\n43.38,172.40,S,E\n", (-43.38, 172.40)),
         ("lat,lon,direction\n-43.38,172.40,270\n", (-43.38, 172.40)),
         ("lat,lon,ref\n-43.38,172.40,W7\n", (-43.38, 172.40)),
         ("lat,ref,lon,ref\n43.38,S1,172.40,W2\n", (43.38, 172.40)),
