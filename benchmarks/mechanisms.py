@@ -98,10 +98,12 @@ def _no_profile(keyframes: Any, found: Any) -> tuple[Any, None]:
     return found, None
 
 
-def _no_zoom(weighed: Any) -> tuple[judge.Excess, judge.Excess]:
+def _no_zoom(weighed: Any) -> moved_optics.Signs:
     nothing = judge.excess_of(0.0, weighed.solution, 1)
-    return nothing, nothing
+    return replace(SIGNS_OF(weighed), zoom=nothing, focal_length=nothing)
 
+
+SIGNS_OF = moved_optics.signs_of  # as it is without a mechanism left out
 
 MECHANISMS = (
     Mechanism(
@@ -173,7 +175,7 @@ MECHANISMS = (
     Mechanism(
         "zoom",
         "no zoom is looked for",
-        ((moved_optics, "zoom_scores", _no_zoom),),
+        ((moved_optics, "signs_of", _no_zoom),),
     ),
     Mechanism(
         "moved optics",

@@ -42,6 +42,7 @@ EXPLANATIONS: dict[Status, str] = {
     Status.STABILISED: "the camera's electronic stabilisation shifts the picture: switch it off",
     Status.ZOOMED: "the lens has zoomed or refocused since it was calibrated: set it back",
     Status.MIRRORED: "the picture is a mirror image: switch off the camera's flip (or mirror)",
+    Status.STRETCHED: "the picture is stretched along one side against its calibration: calibrate at this picture size",
 }
 
 

@@ -50,6 +50,7 @@ class Status(Enum):
     ZOOMED = "zoomed"
     REPETITIVE = "repetitive"
     MIRRORED = "mirrored"
+    STRETCHED = "stretched"
 
     @property
     def code(self) -> int:

@@ -47,7 +47,7 @@ WARNING, INFO = 4, 6
 # Refusals that no waiting mends: the pixel's, or the camera's.
 PERMANENT = {
     Status.OUTSIDE, Status.ABOVE_HORIZON, Status.OUTSIDE_CALIBRATION, Status.STABILISED, Status.ZOOMED,
-    Status.MIRRORED, Status.CAMERA_LOST,
+    Status.MIRRORED, Status.STRETCHED, Status.CAMERA_LOST,
 }  # fmt: skip
 
 

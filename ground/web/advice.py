@@ -25,4 +25,5 @@ ADVICE: dict[Status, str] = {
     Status.STABILISED: "step to an earlier picture; the camera's stabilisation must be switched off",
     Status.ZOOMED: "step to a picture taken before the zoom, or have the lens set back",
     Status.MIRRORED: "have the camera's flip (or mirror) switched off: all its pictures are mirror images",
+    Status.STRETCHED: "have the camera calibrated at this picture size: all its pictures are stretched along one side",
 }

@@ -21,7 +21,18 @@ from contract.rotations import exp_so3, log_so3
 from onboard.estimation import ground_roughness, row_waves
 from onboard.estimation.bundle_adjustment import Solution
 from onboard.estimation.camera_states import COUNT, FOCAL_LENGTH, K1
-from onboard.estimation.factors import OWN_STATES, RATES, SHIFT, WAVES, ZOOM, AttitudePrior, PathPrior, State
+from onboard.estimation.factors import (
+    OWN_STATES,
+    RATES,
+    READ,
+    SHIFT,
+    STRETCH,
+    WAVES,
+    ZOOM,
+    AttitudePrior,
+    PathPrior,
+    State,
+)
 from onboard.estimation.information import with_own_variance
 from onboard.estimation.keyframe import have_attitude, observation, turned
 from onboard.estimation.platform_states import STATES
@@ -163,6 +174,13 @@ class OpenOptics:
 
 def open_optics(weighed: Weighed) -> OpenOptics:
     """Open the lens and the rows of a window that was solved with both as they are known."""
+    optics = open_lens(weighed)
+    window, solution = _with_open_rows(optics.window, optics.noise, optics.lens)
+    return replace(optics, window=window, solution=solution)
+
+
+def open_lens(weighed: Weighed) -> OpenOptics:
+    """Open the lens of a window that was solved with it as it is known; the rows stay as they are."""
     window = weighed.window
     stated = from_request(with_open_lens(replace(window.request, keyframes=window.keyframes, is_oriented=True)))
     assert isinstance(stated, WindowProblem)
@@ -173,7 +191,7 @@ def open_optics(weighed: Weighed) -> OpenOptics:
     weight = np.where(window.unweighed.weight > 0.0, stated.unweighed.weight, 0.0)
     stated = stated.with_problem(ground_weight=hold, weight=weight)
     lens = stated.weighed(noise, stated.state).solution
-    return OpenOptics(*_with_open_rows(stated, noise, lens), noise, lens, window.with_problem(ground_weight=hold))
+    return OpenOptics(stated, lens, noise, lens, window.with_problem(ground_weight=hold))
 
 
 def with_open_lens(request: Request) -> Request:
@@ -203,6 +221,20 @@ def zoomed(optics: OpenOptics) -> Explanation:
     tried = optics.window.with_block(ZOOM)
     start, freedom = optics.solution.state.with_block(tried.layout, ZOOM), OWN_STATES[ZOOM] * (optics.pictures - 1)
     return Explanation(ZOOM, tried, optics.noise, start, freedom)
+
+
+def stretched(optics: OpenOptics) -> Explanation:
+    """A width of each picture's own, against its height."""
+    tried = optics.window.with_block(STRETCH)
+    start, freedom = optics.solution.state.with_block(tried.layout, STRETCH), OWN_STATES[STRETCH] * optics.pictures
+    return Explanation(STRETCH, tried, optics.noise, start, freedom)
+
+
+def read_longer(optics: OpenOptics) -> Explanation:
+    """A readout of each picture's own, beyond the one that is known."""
+    tried = optics.window.with_readout()
+    start, freedom = optics.solution.state.with_block(tried.layout, READ), OWN_STATES[READ] * optics.pictures
+    return Explanation(READ, tried, optics.noise, start, freedom)
 
 
 def attitude_aside(optics: OpenOptics, start: State | None = None) -> Explanation:

@@ -28,9 +28,10 @@ Array = NDArray[np.float64]
 Parts = tuple[Mapping[str, Array], ...]
 
 # A picture's own image states, by block: what its angular rate is off by (rad/s, camera axes), the cosines and sines
-# that its rows swing by (rad), how far its frame is shifted (focal lengths), by what logarithm its lens is longer.
-RATES, WAVES, SHIFT, ZOOM = "rates", "waves", "shift", "zoom"
-OWN_STATES = {RATES: 3, WAVES: 6, SHIFT: 2, ZOOM: 1}
+# that its rows swing by (rad), how far its frame is shifted (focal lengths), by what logarithms its lens is longer and
+# the picture wider, and how much longer its rows are read (s).
+RATES, WAVES, SHIFT, ZOOM, STRETCH, READ = "rates", "waves", "shift", "zoom", "stretch", "read"
+OWN_STATES = {RATES: 3, WAVES: 6, SHIFT: 2, ZOOM: 1, STRETCH: 1, READ: 1}
 MAX_LEAP = 0.5  # a step takes a point to twice its distance at most
 
 

@@ -15,13 +15,14 @@ from numpy.typing import NDArray
 
 from contract.camera import Camera
 from onboard.estimation.camera_states import COUNT
-from onboard.estimation.factors import RATES, SHIFT, WAVES, ZOOM, Layout, State
+from onboard.estimation.factors import RATES, READ, SHIFT, STRETCH, WAVES, ZOOM, Layout, State
 from onboard.estimation.rolling_shutter import Sweep
 from onboard.geometry.camera_errors import by_states
 
 Array = NDArray[np.float64]
 
-OPEN = 0.3  # one sigma of a picture's shift (focal lengths) and zoom (logarithm of the focal length): as good as free
+OPEN = 0.3  # one sigma of a picture's shift (focal lengths), zoom and stretch (logarithms): as good as free
+OPEN_READOUT_S = 0.05  # and of its readout: no camera's is much longer
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,18 +39,37 @@ def blocks_of(
     layout: Layout, camera: Camera | None, camera_taken: Array, sweep: Sweep | None
 ) -> tuple[ImageBlock, ...]:
     """The blocks of a layout. `camera` and the states (C,) that it has already, where its states are estimated."""
-    own: dict[str, tuple[Callable[[Array], Array], float]] = {SHIFT: (_by_shift, OPEN), ZOOM: (_by_zoom, OPEN)}
+    own: dict[str, tuple[Callable[[Array], Array], float]] = {
+        SHIFT: (_by_shift, OPEN),
+        ZOOM: (_by_zoom, OPEN),
+        STRETCH: (_by_stretch, OPEN),
+    }
     if sweep is not None:
         own[RATES] = sweep.by_rate, sweep.sigma_rate_rad_s
         own[WAVES] = sweep.by_wave, sweep.sigma_wave_rad
+    blocks = {name: _own(layout, name, *own[name]) for name in layout.blocks if name != READ}
+    if READ in layout.blocks:
+        assert sweep is not None
+        blocks[READ] = _read(layout, sweep)
     shared = () if camera is None else (_camera(layout, camera, camera_taken, sweep),)
-    return *shared, *(_own(layout, name, *own[name]) for name in layout.blocks)
+    return *shared, *(blocks[name] for name in layout.blocks)
 
 
 def _own(layout: Layout, name: str, by_state: Callable[[Array], Array], sigma: float) -> ImageBlock:
     part = layout.part(name)
     return ImageBlock(
         layout.by_picture[:, part], lambda state, predicted, depth: by_state(predicted), lambda s: s.own[:, part], sigma
+    )
+
+
+def _read(layout: Layout, sweep: Sweep) -> ImageBlock:
+    """A readout of each picture's own beyond the one that is known, (18.2)."""
+    part = layout.part(READ)
+    return ImageBlock(
+        layout.by_picture[:, part],
+        lambda state, predicted, depth: sweep.by_readout(state.R_cam_enu, predicted, depth)[:, None],
+        lambda state: state.own[:, part],
+        OPEN_READOUT_S,
     )
 
 
@@ -79,3 +99,10 @@ def _by_shift(predicted: Array) -> Array:
 def _by_zoom(predicted: Array) -> Array:
     """d x / d (logarithm of the focal length) (K, 1, 2, P)."""
     return predicted[:, None]
+
+
+def _by_stretch(predicted: Array) -> Array:
+    """d x / d (logarithm of the picture's width, its height as it is) (K, 1, 2, P)."""
+    out = predicted[:, None].copy()
+    out[:, :, 1] = 0.0
+    return out

@@ -1,4 +1,4 @@
-"""The optics that changed between the pictures of a window: zoom or refocus, and a stabilised frame. (19.2) to (19.5)
+"""Optics that are not what they are taken for: a zoom, a stabilised frame, a stretch. (19.2) to (19.5), (19.7)
 
 Twice the fall of the cost under each explanation is held against what chance makes of as many states, and against the
 same with the attitude set aside: the explanation with the largest excess is the cause.
@@ -6,7 +6,7 @@ same with the attitude set aside: the explanation with the largest excess is the
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,28 +20,61 @@ from onboard.estimation.explanations import (
     OpenOptics,
     attitude_aside,
     attitude_aside_as_shifted,
+    open_lens,
     open_optics,
+    read_longer,
     shifted,
+    stretched,
     zoomed,
 )
-from onboard.estimation.factors import SHIFT, ZOOM
+from onboard.estimation.factors import READ, SHIFT, STRETCH, ZOOM
 from onboard.estimation.judge import Excess, excess_of, excess_over
 from onboard.estimation.keyframe import have_attitude
 from onboard.estimation.sensor_groups import contradictions, innovations
 from onboard.estimation.sensor_table import HEADING, TILT
 from onboard.estimation.window_problem import Outcome, Weighed
+from onboard.navigation.limits import CLEAR, SURE_SIGMAS
 
-MOVED = (Status.STABILISED, Status.ZOOMED, Status.MIRRORED)
+MOVED = (Status.STABILISED, Status.ZOOMED, Status.MIRRORED, Status.STRETCHED)
+LEAST_STRETCH = 0.03  # a logarithm: no calibration is off by so much along one side alone
 MAX_VARIANCE = 3.0  # of pixels, above which an explanation leaves too much to explain anything
 
 
-def found(weighed: Weighed) -> Outcome | None:
+@dataclass(frozen=True)
+class Stretch:
+    """The stretch that all pictures of a window share, a logarithm, with one sigma and its evidence."""
+
+    value: float
+    sigma: float
+    excess: Excess
+
+    @property
+    def is_large(self) -> bool:
+        """Return whether it is surely more than calibrations of one shape of picture differ by."""
+        return abs(self.value) - SURE_SIGMAS * self.sigma > LEAST_STRETCH
+
+    @property
+    def is_none(self) -> bool:
+        """Return whether it is surely less than that."""
+        return abs(self.value) + SURE_SIGMAS * self.sigma < LEAST_STRETCH
+
+
+@dataclass(frozen=True)
+class Signs:
+    """The expected excess of a focal length for each picture and of a shared one, (19.4), and the stretch, (19.7)."""
+
+    zoom: Excess
+    focal_length: Excess
+    stretch: Stretch
+
+
+def found(weighed: Weighed, signs: Signs) -> Outcome | None:
     """The refusal of a window in which the optics changed; None if nothing did. `weighed` is its first solve.
 
     Every window is asked for the signs that its first solve shows; the explanations are weighed where there is one.
     """
     window, has_attitude = weighed.window, have_attitude(weighed.window.keyframes)
-    each, common = zoom_scores(weighed)
+    each, common = signs.zoom, signs.focal_length
     is_turned = has_attitude and is_attitude_contradicted(weighed)
     is_file_doubted = common.is_clear() and not window.layout.camera_states  # of a file that admits no error
     # Pictures that are turned wrong look zoomed, and a start without attitude may be anywhere.
@@ -111,16 +144,48 @@ def _by_file(weighed: Weighed, optics: OpenOptics, likeliest: Excess) -> Outcome
     return refused(weighed, Status.POOR_FIT, reason)
 
 
-def zoom_scores(weighed: Weighed) -> tuple[Excess, Excess]:
-    """The expected excess of a focal length for each picture, and of one that all share, by the first step. (19.4)"""
-    tried = weighed.window.with_block(ZOOM)
-    state = weighed.solution.state.with_block(tried.layout, ZOOM)
+def are_stretched(weighed: Weighed, stretch: Stretch) -> bool | None:
+    """Return whether a window shows its pictures to be stretched, or not to be; None if neither. (19.7)"""
+    if stretch.is_none:
+        return False
+    window, has_attitude = weighed.window, have_attitude(weighed.window.keyframes)
+    is_oriented = has_attitude or window.request.previous is not None
+    if not (is_oriented and stretch.is_large and stretch.excess.is_clear()):
+        return None
+    return True if window.request.is_stretched or _is_likeliest(weighed, has_attitude) else None
+
+
+def _is_likeliest(weighed: Weighed, has_attitude: bool) -> bool:
+    """Return whether a stretch explains a window's pictures clearly better than what else may have changed.
+
+    Rows turn no other than the vehicle does: what they would have to do for a stretch of all pictures, none does.
+    """
+    optics = open_lens(weighed)
+    stretch = try_one(optics, stretched(optics))
+    rivals = {READ: try_one(optics, read_longer(optics)), **_explained(optics, has_attitude)}
+    next_best = max(t.evidence for t in rivals.values())
+    # A shift of each frame follows a stretch in part: which of those is right needs no such odds as that one is.
+    is_sure = stretch.is_clear() and stretch.evidence - next_best > CLEAR
+    return is_sure and stretch.variance < MAX_VARIANCE
+
+
+def signs_of(weighed: Weighed) -> Signs:
+    """The signs that a window's first solve shows, by the first step of a zoom and a stretch of each picture."""
+    tried, state = weighed.window.with_readout(), weighed.solution.state
+    for block in (READ, ZOOM, STRETCH):
+        tried = tried.with_block(block)
+    state = replace(state, own=np.pad(state.own, ((0, 0), (0, tried.layout.own - state.own.shape[1]))))
     priors = [replace(p, layout=tried.layout) for p in weighed.problem.priors]
-    step = solve(replace(weighed.problem, layout=tried.layout, priors=priors), state, max_iterations=0)
-    columns = tried.layout.by_picture[:, -1]
-    moved = step.covariance[columns] @ step.reduced.right
+    opened = replace(weighed.problem, layout=tried.layout, priors=priors, sweep=tried.unweighed.sweep)
+    step, K = solve(opened, state, max_iterations=0), tried.layout.keyframes
+    columns = tried.layout.by_picture[:, -3:].T.ravel()  # (readouts, zooms, stretches)
     information = np.linalg.pinv(step.covariance[np.ix_(columns, columns)], hermitian=True)
-    pull = information @ moved
-    shared = float(pull.sum() ** 2 / information.sum())
-    each = excess_of(float(moved @ pull) - shared, weighed.solution, len(columns) - 1)
-    return each, excess_of(shared, weighed.solution, 1)
+    pull = -information @ (step.covariance[columns] @ step.reduced.right)
+    zooms = slice(K, 2 * K)
+    alone = float(pull[zooms] @ np.linalg.pinv(information[zooms, zooms], hermitian=True) @ pull[zooms])
+    shared, pulled = information.reshape(3, K, 3, K).sum(axis=(1, 3)), pull.reshape(3, K).sum(axis=1)
+    common, by_all = float(pulled[1] ** 2 / shared[1, 1]), np.linalg.inv(shared)
+    each = excess_of(alone - common, weighed.solution, K - 1)
+    value, sigma = float(by_all[2] @ pulled), float(np.sqrt(by_all[2, 2]))
+    stretch = Stretch(value, sigma, excess_of((value / sigma) ** 2, weighed.solution, 1))
+    return Signs(each, excess_of(common, weighed.solution, 1), stretch)

@@ -67,6 +67,7 @@ class Window:
         self.refusal = ""  # why the newest window has no solution, in words; empty if it has one
         self.noise = Noise(config.solve.pixel_sigma_px, config.camera.sigma_jitter_s)
         self.is_mirrored: bool | None = None  # windows have shown the pictures to be mirror images, or not to be
+        self.is_stretched: bool | None = None  # and to be stretched along one side against the camera file
         self.terrain: Terrain | None = None  # of the area below, if known
         self.terrain_doubt = ""  # how far that is off the ground, as windows or the take-off show; empty: it is not
         self._has_terrain_agreed = False  # with the ground that a window showed
@@ -285,6 +286,7 @@ class Window:
             has_terrain_agreed=self._has_terrain_agreed,
             is_terrain_left_out=bool(self.terrain_doubt) and not self._has_terrain_agreed,
             is_mirrored=self.is_mirrored,
+            is_stretched=self.is_stretched,
         )
         return self._request
 
@@ -304,6 +306,7 @@ class Window:
         self.noise = outcome.noise
         self.refusal = outcome.reason
         self.is_mirrored = self.is_mirrored if outcome.is_mirrored is None else outcome.is_mirrored
+        self.is_stretched = self.is_stretched if outcome.is_stretched is None else outcome.is_stretched
         if outcome.solved is not None or outcome.terrain_doubt:
             self.terrain_doubt = outcome.terrain_doubt
         if outcome.solved is not None and self._request.terrain is not None:

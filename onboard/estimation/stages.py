@@ -47,9 +47,19 @@ def adjusted(window: WindowProblem) -> Outcome:
 
 def _as_seen(weighed: Weighed) -> Outcome:
     """Take a window whose pictures are what the camera sees through the stages after its first solve."""
-    changed = explain(weighed)
-    if changed is not None:
-        return changed
+    if weighed.window.request.is_mount_open:  # what carries the camera is not known yet
+        return _of_known_optics(weighed)
+    signs = moved_optics.signs_of(weighed)
+    is_stretched = moved_optics.are_stretched(weighed, signs.stretch)
+    if is_stretched or (is_stretched is None and weighed.window.request.is_stretched):
+        reason = "the pictures are stretched along one side against the camera file"
+        return replace(moved_optics.refused(weighed, Status.STRETCHED, reason), is_stretched=is_stretched)
+    moved = moved_optics.found(weighed, signs)
+    return replace(_of_known_optics(weighed) if moved is None else moved, is_stretched=is_stretched)
+
+
+def _of_known_optics(weighed: Weighed) -> Outcome:
+    """Take a window through the stages after its optics were found to be what they are taken for."""
     found = weigh(weighed)
     refined = refine(found) if isinstance(found, Settled) else found
     return accept(refined) if isinstance(refined, Refined) else refined
@@ -60,11 +70,6 @@ def begin(window: WindowProblem) -> Weighed:
     noise = window.request.noise
     noise = replace(noise, factors=noise.factors_at(window.keyframes[0].nav.stamp_ns))
     return with_waves(without_near_points(window.weighed(noise, window.state)))
-
-
-def explain(weighed: Weighed) -> Outcome | None:
-    """The refusal of a window whose optics moved; None where that is not known, or not yet what carries the camera."""
-    return None if weighed.window.request.is_mount_open else moved_optics.found(weighed)
 
 
 def weigh(weighed: Weighed) -> Settled | Outcome:

@@ -12,7 +12,7 @@ from contract.feature_set import Status
 from onboard.config.schema import Config
 from onboard.estimation import window_start
 from onboard.estimation.bundle_adjustment import Problem, Solution, parallax_of, solve
-from onboard.estimation.factors import RATES, WAVES, Layout, Prior, State, ground_plane
+from onboard.estimation.factors import RATES, READ, WAVES, Layout, Prior, State, ground_plane
 from onboard.estimation.image_blocks import OPEN
 from onboard.estimation.keyframe import Ids, Keyframe
 from onboard.estimation.reobservation import Agreement
@@ -86,6 +86,15 @@ class WindowProblem:
             rows = Sweep(0.0, window_start.grid(self.request, self.ids)[3], still, still, scale_s=1.0)
         return self.with_block(RATES).with_problem(sweep=replace(rows, sigma_rate_rad_s=OPEN / rows.scale_s))
 
+    def with_readout(self) -> WindowProblem:
+        """The same with rows read one after the other, in a time of each picture's own."""
+        request, rows = self.request, self.unweighed.sweep
+        if rows is None:
+            share = window_start.grid(request, self.ids)[3]
+            velocity = np.stack([k.nav.motion_enu_m_s for k in self.keyframes])
+            rows = Sweep(0.0, share, window_start.turning(request, self.keyframes), velocity)
+        return self.with_problem(sweep=rows).with_block(READ)
+
     def vibrating(self, waves: Waves) -> WindowProblem:
         """The same with so much vibration in the pictures' rows, which must be read one after the other."""
         rows = self.unweighed.sweep
@@ -140,6 +149,7 @@ class Outcome:
     is_minimum: bool = True  # the adjustment reached one
     lens_moved: float = 0.0  # by about so much of the focal length's logarithm within the window
     is_mirrored: bool | None = None  # it shows its pictures to be mirror images, or not to be; None: neither
+    is_stretched: bool | None = None  # and to be stretched along one side against the camera file
 
 
 def _as_declared(config: Config) -> float:

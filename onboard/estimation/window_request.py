@@ -58,3 +58,4 @@ class Request:
     is_terrain_left_out: bool = False  # it contradicts that ground, and only shows whether it still does
     is_oriented: bool = False  # the keyframes' orientations are a start, whatever they came from
     is_mirrored: bool | None = None  # earlier windows have shown the pictures to be mirror images, or not to be
+    is_stretched: bool | None = None  # and to be stretched along one side against the camera file

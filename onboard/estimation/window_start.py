@@ -65,16 +65,20 @@ def sweep(request: Request, keyframes: tuple[Keyframe, ...], share: Array) -> Sw
     moving = [k.observation.moving for k in keyframes if k.observation.moving is not None]
     if len(moving) < len(keyframes):
         return None
-    if have_attitude(keyframes):
-        R_body_cam = request.R_body_cam @ exp_so3(request.platform.mean[BORESIGHT])
-        rate = np.stack([k.body_rate_rad_s for k in keyframes]) @ R_body_cam
-    else:
-        stamps_s = np.array([(k.nav.stamp_ns - keyframes[0].nav.stamp_ns) / 1e9 for k in keyframes])
-        rate = rates_between(stamps_s, np.stack([k.R_cam_enu for k in keyframes]))
+    rate = turning(request, keyframes)
     velocity, sigma_rad_s = np.stack([m.velocity_enu_m_s for m in moving]), sigma_of_rates(moving, rate)
     camera = request.config.camera
     scale_s = max(float(np.hypot(camera.readout_s, camera.sigma_readout_s)), LEAST_READOUT_S)
     return Sweep(camera.readout_s, share, rate, velocity, sigma_rad_s, scale_s)
+
+
+def turning(request: Request, keyframes: tuple[Keyframe, ...]) -> Array:
+    """The rates (K, 3) at which the camera turns, rad/s, camera axes."""
+    if have_attitude(keyframes):
+        R_body_cam = request.R_body_cam @ exp_so3(request.platform.mean[BORESIGHT])
+        return np.stack([k.body_rate_rad_s for k in keyframes]) @ R_body_cam
+    stamps_s = np.array([(k.nav.stamp_ns - keyframes[0].nav.stamp_ns) / 1e9 for k in keyframes])
+    return rates_between(stamps_s, np.stack([k.R_cam_enu for k in keyframes]))
 
 
 def layout_of(request: Request, keyframes: tuple[Keyframe, ...], rows: Sweep | None) -> Layout:

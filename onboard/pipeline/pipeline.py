@@ -369,7 +369,7 @@ class Pipeline:
             self._place(record)
             self._book.queue(solved.frames, self.config.solve.keyframes // 2)
             return
-        if status is Status.MIRRORED:  # and so are the pictures that were answered before it was seen
+        if status in (Status.MIRRORED, Status.STRETCHED):  # so are the pictures that were answered before it was seen
             for each in self._book.take(before=record.frame.index):
                 self._refuse(each.frame, status, each)
         if self._failures >= MAX_FAILURES:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from contract.camera import Camera
 from contract.feature_set import Status
 from onboard.config.schema import Config
+from onboard.estimation.moved_optics import MOVED
 from onboard.estimation.window_problem import MIN_KEYFRAMES
 from onboard.geometry.plane_homography import move, pixel_grid
 from onboard.navigation.limits import MEMORY_NS, PATIENCE_NS
@@ -53,6 +54,7 @@ REMEDIES: dict[Status | Break, str] = {
     Status.STABILISED: "switch the camera's image stabilisation (EIS) off",
     Status.ZOOMED: "fix zoom and focus where they were calibrated",
     Status.MIRRORED: "switch the camera's flip (mirror) off, or flip the pictures back",
+    Status.STRETCHED: "calibrate at this picture size, or state the shape of its pixels in camera.json",
     Status.POOR_FIT: "check mount.*_deg, camera.json, and that pictures and log are of one flight and one clock",
 }
 
@@ -167,7 +169,7 @@ class RunStatistics:
             return Shortfall(
                 "no attitude in the telemetry", "ask the autopilot for ATTITUDE, or set solve.level_ground = true"
             )
-        if worst in (Status.STABILISED, Status.ZOOMED, Status.MIRRORED, Status.POOR_FIT):
+        if worst in (*MOVED, Status.POOR_FIT):
             return self._shortfall_of(worst)
         return Shortfall(
             f"too short: {self.keyframes} keyframes within {self._span_m:.0f} m travelled",
@@ -214,6 +216,7 @@ class RunStatistics:
             Status.STABILISED: f"electronic stabilisation shifted {count} pictures",
             Status.ZOOMED: f"the lens had zoomed or refocused on {count} pictures",
             Status.MIRRORED: f"{count} pictures are mirror images of the ground",
+            Status.STRETCHED: f"{count} pictures are stretched along one side against the camera file",
             Status.POOR_FIT: f"pictures and telemetry contradict each other on {count} pictures",
         }
         return Shortfall(reasons[why], REMEDIES[why])

@@ -137,6 +137,7 @@ _REFUSALS: dict[Status, tuple[VehicleState, str]] = {
     Status.STABILISED: (VehicleState.POOR_FIT, "electronic stabilisation shifts the pictures"),
     Status.ZOOMED: (VehicleState.POOR_FIT, "the lens has zoomed or refocused"),
     Status.MIRRORED: (VehicleState.POOR_FIT, "the pictures are mirror images: switch off the camera's flip"),
+    Status.STRETCHED: (VehicleState.POOR_FIT, "the pictures are stretched along one side against the camera file"),
     Status.UNCERTAIN: (VehicleState.POOR_FIT, "too uncertain to answer"),
 }
 # The result of pictures on the ground, where the camera may look at grass from 10 cm: no fault before flight.

@@ -16,7 +16,7 @@ from onboard.estimation.explanations import open_optics
 from onboard.estimation.explanations import zoomed as by_zoom
 from onboard.estimation.factors import OWN_STATES, SHIFT, ZOOM
 from onboard.estimation.keyframe import observation
-from onboard.estimation.moved_optics import try_one, zoom_scores
+from onboard.estimation.moved_optics import LEAST_STRETCH, are_stretched, signs_of, try_one
 from onboard.estimation.platform_states import STATES
 from onboard.estimation.window_problem import WindowProblem
 from onboard.estimation.window_request import Request
@@ -53,6 +53,16 @@ def shifted(request: Request, seed: int) -> Request:
     """Every frame shifted, 25 px rms."""
     K = len(request.keyframes)
     return seen_by_another_lens(request, np.zeros(K), np.random.default_rng(seed).normal(0.0, 18.0, (K, 2)))
+
+
+def stretched(request: Request, log_width: float) -> Request:
+    """The same window with pictures that are so much wider than the camera file has them, and as high."""
+    camera, keyframes = request.camera, []
+    for k in request.keyframes:
+        uv = k.observation.uv_px.copy()
+        uv[:, 0] = camera.cx_px + (uv[:, 0] - camera.cx_px) * np.exp(log_width)
+        keyframes.append(replace(k, observation=observation(camera, k.observation.ids, uv)))
+    return replace(request, keyframes=tuple(keyframes))
 
 
 def turned(request: Request, turns_rad: Array) -> Request:
@@ -105,7 +115,7 @@ def test_a_window_without_any_is_solved_and_its_score_is_that_of_chance(seed: in
     request = window_of(seed, spec)
     assert adjust(request).status is Status.OK
     window = problem_of(request)
-    score, _ = zoom_scores(window.weighed(request.noise, window.state))
+    score = signs_of(window.weighed(request.noise, window.state)).zoom
     assert score.gain < 3.0 * score.freedom
 
 
@@ -114,7 +124,7 @@ def test_the_score_of_a_small_change_is_nearly_what_it_explains() -> None:
     request = zoomed(window_of(4), 0.02)
     window = problem_of(request)
     weighed = window.weighed(request.noise, window.state)
-    score, _ = zoom_scores(weighed)
+    score = signs_of(weighed).zoom
     optics = open_optics(weighed)
     assert score.gain == pytest.approx(try_one(optics, by_zoom(optics)).gain, rel=0.3)
 
@@ -192,3 +202,25 @@ def test_the_state_file_of_a_lens_that_zoomed_serves_a_file_without_sigmas() -> 
     fresh = Alignment(0.02, 0.1, 20.0, camera=Camera.from_field_of_view(640, 480, 40.0))
     fresh.restore(zoomed_lens.to_json())
     assert len(fresh.platform.mean) == STATES
+
+
+@pytest.mark.parametrize("seed", rest_long(range(4)))
+@pytest.mark.parametrize("log_width", [-0.2877, 0.1, 0.2877])
+def test_pictures_stretched_along_one_side_are_refused_as_such(seed: int, log_width: float) -> None:
+    outcome = adjust(stretched(window_of(seed), log_width))
+    assert outcome.status is Status.STRETCHED, outcome.reason
+    assert outcome.is_stretched
+
+
+@pytest.mark.parametrize("log_width", [0.0, pytest.param(0.02, marks=pytest.mark.long)])
+def test_a_stretch_is_measured_as_well_as_its_sigma_states(log_width: float) -> None:
+    sigmas = []
+    for seed in range(8):
+        request = stretched(window_of(seed), log_width)
+        window = problem_of(request)
+        weighed = window.weighed(request.noise, window.state)
+        found = signs_of(weighed).stretch
+        assert found.sigma < 0.3 * LEAST_STRETCH
+        assert not are_stretched(weighed, found)
+        sigmas.append((found.value - log_width) / found.sigma)
+    assert 0.4 < np.sqrt(np.mean(np.square(sigmas))) < 1.8
