@@ -51,7 +51,7 @@ ARROWS: dict[str, set[str]] = {
     "onboard.link": {"events", "config"},
     "onboard.storage": {"events", "config", "estimation", "geometry"},
     "onboard.replay": {
-        "pipeline", "tracks", "spots", "camera", "telemetry", "storage", "events", "config",
+        "pipeline", "tracks", "spots", "camera", "telemetry", "storage", "events", "config", "foreign_clock",
     },
     "onboard.service": {"pipeline", "tracks", "measured", "spots", "storage", "events", "config"},
     "onboard.calibration": set(),

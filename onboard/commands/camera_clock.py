@@ -14,11 +14,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from contract.camera import Camera
 from contract.errors import InputError
-from onboard.camera.pixel_formats import UNDECODABLE
 from onboard.commands.imported_flight import Row
 from onboard.config.schema import Config
 from onboard.events.types import PositionFix
@@ -26,6 +24,7 @@ from onboard.foreign_clock.clock_search import Clock, Evidence, Stated, Unknown,
 from onboard.foreign_clock.log_track import log_track
 from onboard.foreign_clock.motion_cost import MotionNoise
 from onboard.foreign_clock.picture_pairs import Pairs, chosen_pairs, measure
+from onboard.replay.photo_steps import SMALL_PX
 from onboard.replay.runner import check_overlap
 from onboard.telemetry.log_clocks import REACH_S
 from onboard.telemetry.telemetry_log import NS_PER_S, TelemetryLog
@@ -33,7 +32,6 @@ from onboard.telemetry.two_logs import loosened
 
 Picture = NDArray[np.uint8]
 
-SMALL_PX = 640
 APART_S = 1.5  # between two pictures of a pair, about
 # One sigma of the height over the ground as a share, of a match, of the ground's relief (of the height), of a position
 # against the next.
@@ -146,21 +144,6 @@ def clock_row(clock: Clock) -> Row:
 def _between_deg(white_deg: float, slow_deg: float, time_s: float) -> float:
     """One sigma of the turn between two attitudes, by the white and the Gauss-Markov part of each. (5.5)"""
     return math.sqrt(2.0 * (white_deg**2 + slow_deg**2 * (1.0 - math.exp(-APART_S / time_s))))
-
-
-def photographs(paths: Sequence[Path]) -> Callable[[int], Picture | None]:
-    """Small grey copies of photographs; a JPEG is decoded at a part of its size."""
-
-    def small(index: int) -> Picture | None:
-        try:
-            with Image.open(paths[index]) as image:
-                width, height = image.size
-                image.draft("L", (SMALL_PX, max(SMALL_PX * height // width, 1)))
-                return np.array(image.convert("L"), np.uint8)
-        except UNDECODABLE:
-            return None
-
-    return small
 
 
 def frames(video: Path, times_s: Sequence[float]) -> Callable[[int], Picture | None]:

@@ -15,16 +15,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from contract.answer import CHI2_2
-from contract.camera import Camera
 from contract.errors import InputError
-from contract.geodesy import LocalFrame
-from contract.rotations import R_ENU_NED, matrix_from_euler, mount_rotation
 from onboard.camera.file_stamps import read_stamps, spread_within_seconds, stamp_from_name
 from onboard.camera.photo_metadata import Focal, PhotoMetadata, read_photo
 from onboard.camera.picture_files import PICTURE_SUFFIXES
 from onboard.camera.rig_bands import one_band
-from onboard.commands.camera_clock import against_log, clock_of, clock_row, photographs
+from onboard.commands.camera_clock import against_log, clock_of, clock_row
 from onboard.commands.flight_folder import log_of, next_to, picture_folder
 from onboard.commands.imported_flight import (
     SIGMA_GIMBAL_DEG,
@@ -46,8 +42,7 @@ from onboard.commands.imported_flight import (
 )
 from onboard.config.schema import Gps, parse_config
 from onboard.foreign_clock.clock_search import Stated
-from onboard.foreign_clock.picture_pairs import measure
-from onboard.foreign_clock.position_steps import Step, intervals, joined, steps
+from onboard.replay.photo_steps import doubt_text, east_north_m, small_pictures, without_steps
 from onboard.replay.photo_telemetry import datum_sigma_m, gap_to_join_s, height_amsl, photo_telemetry, side_lacking
 from onboard.replay.runner import check_overlap
 from onboard.telemetry.geo_reader import GeoPlace, read_geo
@@ -63,8 +58,6 @@ STAMPS, CONFIG, GEO = "stamps.csv", "config.toml", "geo.txt"
 SIGMA_READOUT_S = 0.003  # of a line's time that a picture states, times its rows
 SIGMA_TAG_S = 0.1  # of the moment of a tagged position: receivers give five to ten a second
 WHOLE_SECOND_S = 0.29  # evenly within a second
-SIGMA_UNSTATED_M = Gps().sigma_correlated_horizontal_m  # of a position that states none
-ONE_SIDED = 1.2816  # sigmas, which nine in ten errors along one direction stay below
 TURNED_BACK = 2.0  # steps that two legs in opposite directions differ by
 WITHIN_S = 0.01  # of a photograph's own position, which has its own time
 SIGMA_STAMP_S, HALF_NS = 0.03, 500_000_000  # of a stamp with fractions; of one cut to the second, on average
@@ -126,16 +119,13 @@ def run(arguments: argparse.Namespace) -> int:
         sections, assumed = sections_of(config), [("configuration", f"{config}, nothing guessed")]
     elif log is None:
         times = times.moved(0.0 if stated is None else stated.offset_s)
-        jumped = _steps(photos, folder, optics.camera)
         sections, assumed = _by_photos(photos, times)
-        assumed += [_step_row(photos, at, step) for at, step in jumped.items()]
-        photos, doubt_m = _without_steps(photos, jumped)
+        mended = without_steps(photos, folder, optics.camera, Gps())
+        photos, assumed = mended.photos, assumed + [("step", words) for words in mended.steps]
         sections["gps"] |= {"glitch_m": f"{_turn_m(photos):.0f}.0"}
-        if doubt_m:
-            assumed.append(
-                ("places", f"all may be off by {doubt_m:.0f} m: which side of a step is right, nothing shows")
-            )
-            sections["gps"] |= {"correlation_time_s": f"{_correlation_time_s(photos):.0f}.0"}
+        if mended.doubt_m:
+            assumed.append(("places", doubt_text(mended.doubt_m)))
+            sections["gps"] |= {"correlation_time_s": f"{mended.correlation_time_s:.0f}.0"}
     else:
         sections, assumed = _by_log(log, times)
     if config is None:
@@ -143,7 +133,7 @@ def run(arguments: argparse.Namespace) -> int:
     if log is not None:
         if config is None or not times.is_of_flight:
             settled = parse_config(config_text(sections, settings))
-            pictures = photographs([folder / photo.name for photo in photos])
+            pictures = small_pictures([folder / photo.name for photo in photos])
             clock = clock_of(log, settled, optics.camera, times.moments_ns, times.sigma_s, pictures, stated)
             times = times.moved(clock.offset_s)
             sections.setdefault("camera", {})["sigma_latency_s"] = f"{clock.sigma_s:.3f}"
@@ -377,49 +367,6 @@ def _by_log(log: TelemetryLog, times: _Times) -> tuple[dict[str, dict[str, str]]
     return sections, [mount]
 
 
-def _steps(photos: list[PhotoMetadata], folder: Path, camera: Camera) -> dict[int, Step]:
-    """The steps (m, east + i north) of the photographs' own positions that their motion contradicts, by the picture
-    before.
-    """
-    numbers = range(len(photos))
-    pairs = measure(camera, numbers, list(itertools.pairwise(numbers)), photographs([folder / p.name for p in photos]))
-    found = intervals(pairs, [_attitude(photo) for photo in photos])
-    return steps(_east_north_m(photos), found, np.array([_claim_m(photo) for photo in photos]))
-
-
-def _attitude(photo: PhotoMetadata) -> Array | None:
-    """R_enu_cam (3, 3) as a photograph states it; None where it states none."""
-    if photo.gimbal_deg is None and photo.body_deg is None:
-        return None
-    R_cam = mount_rotation(0.0, 0.0 if photo.gimbal_deg is not None else -90.0, 0.0)
-    roll, pitch, yaw = np.radians(photo.gimbal_deg or photo.body_deg or (0.0, 0.0, 0.0)).tolist()
-    return np.asarray(R_ENU_NED @ matrix_from_euler(roll, pitch, yaw) @ R_cam, np.float64)
-
-
-def _claim_m(photo: PhotoMetadata) -> float:
-    return photo.sigma_horizontal_m or SIGMA_UNSTATED_M
-
-
-def _without_steps(photos: list[PhotoMetadata], jumped: dict[int, Step]) -> tuple[list[PhotoMetadata], float]:
-    """The photographs with their positions joined, and how far all of them may be off together, m."""
-    if not jumped:
-        return photos, 0.0
-    whole = joined(len(photos), jumped, max(map(_claim_m, photos)))
-    by_picture = zip(photos, whole.add_m.tolist(), whole.sigma_m.tolist(), strict=True)
-    return [_moved(photo, add_m, sigma_m, whole.doubt_m) for photo, add_m, sigma_m in by_picture], whole.doubt_m
-
-
-def _moved(photo: PhotoMetadata, east_north_m: complex, sigma_m: float, doubt_m: float) -> PhotoMetadata:
-    """A photograph whose position is moved, and is less certain by a sigma, and may be off by as much as a doubt. Its
-    90 % circle holds both places that a step leaves, with nine tenths of the errors about each. (28.20)
-    """
-    place = LocalFrame(photo.lat_deg or 0.0, photo.lon_deg or 0.0, 0.0)
-    lat_deg, lon_deg, _ = place.to_geodetic(np.array([east_north_m.real, east_north_m.imag, 0.0]))
-    sigma_m = math.hypot(_claim_m(photo), sigma_m)
-    sigma_m = max(sigma_m, (doubt_m + ONE_SIDED * sigma_m) / math.sqrt(CHI2_2))
-    return replace(photo, lat_deg=float(lat_deg), lon_deg=float(lon_deg), sigma_horizontal_m=sigma_m)
-
-
 def _by_photos(photos: list[PhotoMetadata], times: _Times) -> tuple[dict[str, dict[str, str]], list[Row]]:
     """The configuration where the pictures alone state where they were, and what it assumes."""
     gap_s = gap_to_join_s(times.stamps_ns)
@@ -445,33 +392,10 @@ def _by_photos(photos: list[PhotoMetadata], times: _Times) -> tuple[dict[str, di
     return sections, [("mount", how), ("positions", _positions_text(photos))]
 
 
-def _step_row(photos: list[PhotoMetadata], at: int, step: Step) -> Row:
-    return (
-        "step",
-        f"of {abs(step.moved_m):.0f} m in the positions from {photos[at].name} to {photos[at + 1].name}, which the "
-        "pictures do not show: taken out",
-    )
-
-
 def _turn_m(photos: list[PhotoMetadata]) -> float:
     """Return by how much two steps in a row may differ where the aircraft turned back: that is no jump yet."""
-    longest_m = float(np.linalg.norm(np.diff(_east_north_m(photos), axis=0), axis=1).max())
+    longest_m = float(np.linalg.norm(np.diff(east_north_m(photos), axis=0), axis=1).max())
     return min(max(TURNED_BACK * longest_m, 10.0), 1000.0)
-
-
-def _correlation_time_s(photos: list[PhotoMetadata]) -> float:
-    """Return for how long positions share their error where it is that of a step: they drift from each other no faster
-    than without it. (28.21)
-    """
-    gps = Gps()
-    largest_m = max(map(_claim_m, photos))
-    return min(gps.correlation_time_s * (largest_m / gps.sigma_correlated_horizontal_m) ** 2, 1e5)
-
-
-def _east_north_m(photos: list[PhotoMetadata]) -> Array:
-    """The photographs' positions (N, 2) from the first one."""
-    first = LocalFrame(photos[0].lat_deg or 0.0, photos[0].lon_deg or 0.0, 0.0)
-    return np.array([first.to_enu(photo.lat_deg or 0.0, photo.lon_deg or 0.0, 0.0)[:2] for photo in photos])
 
 
 def _positions_text(photos: list[PhotoMetadata]) -> str:

@@ -6,5 +6,5 @@ Public:
 - `log_track`: `log_track`
 - `motion_cost`: `MotionNoise`
 - `picture_pairs`: `Pairs`, `chosen_pairs`, `measure`
-- `position_steps`: `Step`, `intervals`, `joined`, `steps`
+- `position_steps`: `Step`, `bridging`, `intervals`, `joined`, `steps`
 """

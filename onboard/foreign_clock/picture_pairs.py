@@ -34,6 +34,14 @@ class Pairs:
     def __len__(self) -> int:
         return len(self.moments_ns)
 
+    def with_others(self, others: Pairs) -> Pairs:
+        """Return these and others."""
+        return Pairs(
+            np.concatenate([self.moments_ns, others.moments_ns]),
+            np.concatenate([self.at, others.at]),
+            np.concatenate([self.to, others.to]),
+        )
+
 
 def chosen_pairs(stamps_ns: Sequence[int]) -> list[tuple[int, int]]:
     """Pairs of pictures about `APART_NS` apart or next to each other: one after the other, of long flights some."""

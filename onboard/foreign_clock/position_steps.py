@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from contract.rotations import exp_so3
 from onboard.foreign_clock.picture_pairs import Pairs
 from onboard.navigation.limits import LIKELY_SIGMAS
-from onboard.navigation.position_jumps import EXPLAINED_SHARE, GLITCH_SIGMAS
+from onboard.navigation.position_jumps import EXPLAINED_SHARE
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -24,9 +24,11 @@ Complex = NDArray[np.complex128]
 SIDE = 2  # intervals before and after one, by which it is judged
 MATCH, RELIEF, PLACE_M = 0.003, 0.05, 0.5  # as shares of the height, of the way in heights, and m: one sigma
 MEDIAN_2D = float(np.sqrt(2.0 * np.log(2.0)))  # of a distance in two dimensions, in sigmas of each
-MIN_SCATTER = 8  # intervals by which the flight shows its own scatter
+ODDS = 1000.0  # that a flight without a step shows none
+ASSUMED = 4  # intervals that the assumed scatter counts as
 TOP_AHEAD = np.diag([1.0, -1.0, -1.0])  # R of a picture straight down, whose top is ahead
 LEAST_DOWN = 0.5  # of the ground's direction along the camera's axis: it may look 60 degrees off
+BRIDGES = ((1, 0), (0, 1), (1, 1), (2, 0), (0, 2), (3, 0), (0, 3))  # intervals before and after an unknown one
 SAME_SIZE = 0.3  # of the logarithm of a picture's scale: more is another match, not another place
 
 
@@ -45,25 +47,73 @@ class Intervals:
 
 def intervals(pairs: Pairs, R_enu_cam: Sequence[Array | None]) -> Intervals:
     """Return the intervals by pairs of pictures, whose moments are the pictures' numbers; axes are east and north of
-    pictures with an attitude, else right and up in the picture. (28.14)
+    pictures with an attitude, else right and up in the picture. An interval of which no pair is found is what pairs
+    farther apart have beyond its neighbours. (28.14), (28.22)
     """
     count = len(R_enu_cam) - 1
     out = Intervals(np.full(count, np.nan, complex), np.ones(count, complex), np.zeros(count))
+    bridges: list[tuple[int, int, complex, complex, float]] = []
     for (first, second), at, to in zip(pairs.moments_ns.tolist(), pairs.at, pairs.to, strict=True):
-        R_first, R_second = R_enu_cam[first], R_enu_cam[second]
-        if R_first is None or R_second is None:
-            R_first, R_second = _upright(at, to)
-        a, b = _level(at, R_first), _level(to, R_second)
-        middle_a, middle_b = a.mean(), b.mean()
-        size = float(np.mean(np.abs(a - middle_a) ** 2))
-        similar = complex(np.vdot(a - middle_a, b - middle_b)) / (len(a) * size)
-        if abs(np.log(abs(similar))) > SAME_SIZE:
-            continue
-        left = (b - middle_b) / similar - (a - middle_a)
-        out.way[first] = middle_a - middle_b / similar
-        out.turn[first] = similar / abs(similar)
-        out.warp[first] = float(np.sqrt(np.mean(np.abs(left) ** 2))) / size
+        between = _between(at, to, R_enu_cam[first], R_enu_cam[second])
+        if between is not None and second == first + 1:
+            out.way[first], out.turn[first], out.warp[first] = between
+        elif between is not None:
+            bridges.append((first, second, *between))
+    for first, second, way, turn, warp in sorted(bridges, key=lambda bridge: bridge[1] - bridge[0]):
+        _fill(out, range(first, second), way, turn, warp)
     return out
+
+
+def _between(
+    at: Array, to: Array, R_first: Array | None, R_second: Array | None
+) -> tuple[complex, complex, float] | None:
+    """Way, turn and warp of a pair of pictures; None where its scale is another match's."""
+    if R_first is None or R_second is None:
+        R_first, R_second = _upright(at, to)
+    a, b = _level(at, R_first), _level(to, R_second)
+    middle_a, middle_b = complex(a.mean()), complex(b.mean())
+    size = float(np.mean(np.abs(a - middle_a) ** 2))
+    similar = complex(np.vdot(a - middle_a, b - middle_b)) / (len(a) * size)
+    if abs(np.log(abs(similar))) > SAME_SIZE:
+        return None
+    left = (b - middle_b) / similar - (a - middle_a)
+    return middle_a - middle_b / similar, similar / abs(similar), float(np.sqrt(np.mean(np.abs(left) ** 2))) / size
+
+
+def _fill(out: Intervals, spanned: range, way: complex, turn: complex, warp: float) -> None:
+    """Take the one unknown interval of those that a pair of pictures farther apart spans from it and the others: what
+    they leave of its way. (28.22)
+    """
+    unknown = [k for k in spanned if not np.isfinite(out.way[k])]
+    if len(unknown) != 1:
+        return
+    (at,), turned = unknown, 1.0 + 0.0j
+    others = np.array([k for k in spanned if k != at])
+    for k in spanned[: at - spanned.start]:
+        way, turned = way - out.way[k] / turned, turned * out.turn[k]
+    after = 1.0 + 0.0j
+    for k in reversed(spanned[at + 1 - spanned.start :]):
+        after = after * out.turn[k]
+    own = turn / (turned * after)
+    left, axes = way * turned, own  # in the axes of the interval's own first picture
+    for k in spanned[at + 1 - spanned.start :]:
+        left, axes = left - out.way[k] / axes, axes * out.turn[k]
+    variance = (
+        warp**2 + float(np.sum(out.warp[others] ** 2)) + MATCH**2 * len(others)
+    )  # the relief is the same ground's
+    out.way[at], out.turn[at], out.warp[at] = left, own, np.sqrt(variance)
+
+
+def bridging(found: Intervals) -> list[tuple[int, int]]:
+    """Return the pairs of pictures farther apart that may show what intervals next to known ones do not."""
+    last, known = len(found.way), np.isfinite(found.way)
+    out: set[tuple[int, int]] = set()
+    for at in np.flatnonzero(~known).tolist():
+        for first, second in ((at - before, at + 1 + after) for before, after in BRIDGES):
+            others = [k for k in range(first, second) if k != at]
+            if first >= 0 and second <= last and known[others].all():
+                out.add((first, second))
+    return sorted(out)
 
 
 def _upright(at: Array, to: Array) -> tuple[Array, Array]:
@@ -110,25 +160,39 @@ def steps(east_north_m: Array, found: Intervals, claims_m: Array) -> dict[int, S
     """
     moved = np.diff(east_north_m[:, 0] + 1j * east_north_m[:, 1])
     known = np.isfinite(found.way)
+    most = np.count_nonzero(known) // 2
     if np.count_nonzero(known) <= SIDE:
         return {}
     height_m = float(np.median(np.abs(moved[known]) / np.maximum(np.abs(found.way[known]), 1e-6)))
     relative = np.sqrt(found.warp**2 + MATCH**2 + (RELIEF * np.abs(found.way)) ** 2)
     sigma_m = np.hypot(height_m * relative, PLACE_M)
-    least_m = LIKELY_SIGMAS * np.maximum(claims_m[:-1], claims_m[1:])
+    least_m = LIKELY_SIGMAS * np.hypot(np.maximum(claims_m[:-1], claims_m[1:]), PLACE_M)
     out: dict[int, Step] = {}
     while True:
         miss, in_sigmas = _misses(moved, found, sigma_m, out)
-        judged = in_sigmas[np.isfinite(in_sigmas)]
-        scatter = float(np.median(judged)) / MEDIAN_2D if len(judged) else 1.0
-        scatter = scatter if len(judged) >= MIN_SCATTER else max(scatter, 1.0)
         candidates = np.where(np.abs(miss) > least_m, np.nan_to_num(in_sigmas), 0.0)
         candidates[list(out)] = 0.0
         worst = int(np.argmax(candidates))
-        if candidates[worst] <= GLITCH_SIGMAS * scatter or 2 * len(out) >= np.count_nonzero(known):
-            sigmas_m = scatter * np.abs(miss) / in_sigmas
+        one_more = out | {worst: Step(complex(miss[worst]), 0.0)}
+        scatter, chance = _scatter(moved, found, sigma_m, one_more)  # which a step that counts as none would widen
+        if candidates[worst] <= chance * scatter or len(one_more) > most + 1:
+            sigmas_m = _scatter(moved, found, sigma_m, out)[0] * np.abs(miss) / in_sigmas
             return {at: Step(complex(miss[at]), float(sigmas_m[at])) for at in sorted(out)}
-        out[worst] = Step(complex(miss[worst]), 0.0)
+        out = one_more
+
+
+def _scatter(moved: Complex, found: Intervals, sigma_m: Array, stepped: Mapping[int, Step]) -> tuple[float, float]:
+    """The flight's own scatter in sigmas, by the intervals that no step is in and by what is assumed where they are
+    few; and of how many of these scatters one interval is by chance, once in a thousand flights. (28.18)
+    """
+    _, in_sigmas = _misses(moved, found, sigma_m, stepped)
+    in_sigmas[list(stepped)] = np.nan
+    judged = in_sigmas[np.isfinite(in_sigmas)]
+    own = float(np.median(judged)) / MEDIAN_2D if len(judged) else 1.0
+    scatter = np.sqrt((ASSUMED + len(judged) * own**2) / (ASSUMED + len(judged)))
+    freedoms = ASSUMED + np.log(2.0) ** 2 * len(judged)  # a median is worth less than a mean of squares
+    chance = np.sqrt(2.0 * freedoms * np.expm1(np.log(ODDS * (len(judged) + 1)) / freedoms))
+    return float(scatter), float(chance)
 
 
 def _misses(moved: Complex, found: Intervals, sigma_m: Array, stepped: Mapping[int, Step]) -> tuple[Complex, Array]:

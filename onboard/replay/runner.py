@@ -29,6 +29,7 @@ from onboard.events.sink import Sink
 from onboard.events.types import Event, Frame
 from onboard.pipeline.estimates import as_rows
 from onboard.replay.digital_zoom import at_one_zoom, optical_zoom
+from onboard.replay.photo_steps import doubt_text, without_steps
 from onboard.replay.photo_telemetry import check_gaps, photo_telemetry
 from onboard.telemetry.log_files import read_logs
 from onboard.telemetry.own_video import another_length, began_ns, cut_sigma_s
@@ -122,7 +123,14 @@ class Flight:
         )
         check_gaps(config, source.stamps_ns)
         photos = [read_photo(folder / name) for name in source.names]
-        return cls(source, photo_telemetry(photos, source.stamps_ns, config.gps.undulation_m), camera)
+        log = photo_telemetry(photos, source.stamps_ns, config.gps.undulation_m)
+        mended = without_steps(photos, folder, camera, config.gps)
+        if mended.steps:
+            words = [f"a step {step}" for step in mended.steps]
+            words += [f"positions: {doubt_text(mended.doubt_m)}"] * (mended.doubt_m > 0.0)
+            log = photo_telemetry(mended.photos, source.stamps_ns, config.gps.undulation_m)
+            log = replace(log, notes=(*log.notes, *words), correlation_time_s=mended.correlation_time_s)
+        return cls(source, log, camera)
 
     @property
     def stamps_ns(self) -> Sequence[int]:

@@ -54,7 +54,8 @@ class TelemetryLog:
     `video_began`: when the video began that the log lies in (ns), by a receiver whose delay is not known, and one sigma
     of that (s). `utc_sigma_s`: one sigma of the stamps against UTC, 0 of a receiver's or of a clock that the
     configuration states; None where they are local times of no stated zone, which nothing ties to UTC.
-    `position_sigma_s`: one sigma of which moment a position is of, where what states it lasts. `tied`: of two logs that
+    `position_sigma_s`: one sigma of which moment a position is of, where what states it lasts. `correlation_time_s`:
+    for how long positions share their error, where that is known to be longer than configured. `tied`: of two logs that
     were joined.
     """
 
@@ -72,6 +73,7 @@ class TelemetryLog:
     tied: Tied = Tied()
     video_s: tuple[float, float] | None = None
     position_sigma_s: float = 0.0
+    correlation_time_s: float = 0.0
 
     @classmethod
     def by_stamp(cls, events: Iterable[NavEvent], boot_segments: int = 1) -> TelemetryLog:

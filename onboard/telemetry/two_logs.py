@@ -84,7 +84,8 @@ def joined(one: TelemetryLog, other: TelemetryLog, paths: tuple[Path, Path]) -> 
 
 
 def loosened(config: Config, log: TelemetryLog) -> Config:
-    """Return the configuration with what a log's texts and the tie of two logs add to its delays' sigmas. (32.6)
+    """Return the configuration with what a log's texts and the tie of two logs add to its delays' sigmas, (32.6), and
+    for how long its positions share their error.
 
     Positions tie the clocks, and each log's are late by its own amount.
     """
@@ -93,6 +94,9 @@ def loosened(config: Config, log: TelemetryLog) -> Config:
         tie_s = tied.sigma_s if tied.is_mixed else 0.0
         sigma_s = min(math.hypot(gps.sigma_latency_s, tie_s, log.position_sigma_s), MOST_POSITIONS_S)
         config = config.model_copy(update={"gps": gps.model_copy(update={"sigma_latency_s": sigma_s})})
+    if log.correlation_time_s > config.gps.correlation_time_s:
+        slower = config.gps.model_copy(update={"correlation_time_s": log.correlation_time_s})
+        config = config.model_copy(update={"gps": slower})
     if tied.are_angles_moved:
         sigma_s = math.hypot(camera.sigma_latency_s, tied.sigma_s, gps.sigma_latency_s, gps.sigma_latency_s)
         moved = camera.model_copy(update={"sigma_latency_s": min(sigma_s, MOST_CAMERA_S)})
