@@ -25,7 +25,6 @@ from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from benchmarks.machine import describe, load, table, verdict
 from benchmarks.scatter import mean_and_sigma
@@ -149,6 +148,8 @@ class Score:
 
 def low_passed(values: Array, step_s: float, time_s: float) -> Array:
     """(N, 3) by a filter of first order, which makes them late by its time."""
+    from scipy.signal import lfilter  # noqa: PLC0415  with scipy.stats behind it, a second of processor time
+
     share = step_s / (step_s + time_s)
     out, _ = lfilter([share], [1.0, share - 1.0], values, axis=0, zi=(1.0 - share) * values[:1])
     return np.asarray(out, np.float64)
@@ -156,6 +157,8 @@ def low_passed(values: Array, step_s: float, time_s: float) -> Array:
 
 def gauss_markov(rng: np.random.Generator, count: int, step_s: float, time_s: float) -> Array:
     """(N, 3) of unit variance, stationary from the first on."""
+    from scipy.signal import lfilter  # noqa: PLC0415  as above
+
     kept = np.exp(-step_s / time_s)
     first, white = rng.normal(size=(1, 3)), rng.normal(size=(count, 3))
     out, _ = lfilter([np.sqrt(1.0 - kept**2)], [1.0, -kept], white, axis=0, zi=kept * first)

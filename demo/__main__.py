@@ -13,9 +13,7 @@ import numpy as np
 from contract.errors import PointclickError
 from contract.geodesy import LocalFrame
 from demo.clicks import Clicked, Spot, choose_spots
-from demo.map import draw_overview
 from demo.processes import Aircraft, program
-from demo.tracks import draw_tracks, follow
 from ground.recording import Recording
 from simulation.flight import DescribedSpec, RecordedSpec
 from simulation.ordinary import ordinary
@@ -83,6 +81,9 @@ def _run(out: Path, seconds: float, autopilot: str) -> int:
         clicked = _click_all(truth, spots, aircraft)
         summary = aircraft.land()
     _say("On board, in the end:\n" + "\n".join(f"  {line}" for line in summary.splitlines()))
+
+    from demo.map import draw_overview  # noqa: PLC0415  Matplotlib, a second of processor time, before take-off
+    from demo.tracks import draw_tracks, follow  # noqa: PLC0415
 
     tracked = follow(flight)
     pictures = [

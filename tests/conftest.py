@@ -1,5 +1,6 @@
 """What every test may ask for: one thread each, the shared recordings, and a loud word about tests left out."""
 
+import gc
 import os
 import shutil
 import signal
@@ -133,6 +134,17 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     for item in items if config.getoption("loadgroup", False) else ():
         if (group := real_time_group(item)) is not None:
             item._nodeid = f"{item.nodeid.rpartition('@')[0]}@{group}"
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Iterator[None]:
+    """Leave what collecting makes out of garbage collection: all of it stays, and each full round would look at it."""
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 def real_time_group(item: pytest.Item) -> str | None:

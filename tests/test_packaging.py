@@ -12,11 +12,12 @@ import shutil
 import subprocess
 import sys
 import zlib
+from functools import cache
 from importlib.metadata import distribution
 from pathlib import Path
+from types import ModuleType
 
 import pytest
-from lief import ELF
 
 from onboard.camera.gstreamer_helper import BASE, PACKAGES
 from tests.arm64 import emulation
@@ -26,8 +27,13 @@ from tests.left_out import NO_PROGRAM
 from tests.locked import PACKAGING, program
 from tests.parsed import parsed
 
-slim = program("slim")
 OWN = "arm64" if platform.machine() == "aarch64" else "amd64"
+
+
+@cache
+def slim() -> ModuleType:
+    """Return packaging/slim.py; with LIEF behind it, two seconds of processor time for each worker that collects."""
+    return program("slim")
 
 
 def library(package: str, pattern: str) -> Path:
@@ -43,19 +49,19 @@ def zstandard(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def strip_program() -> str:
-    program = slim.stripper(OWN)
+    program = slim().stripper(OWN)
     if program is None:
         pytest.skip(f"{NO_PROGRAM} strip for {OWN}; sudo apt-get install binutils")
     return str(program)
 
 
 def test_what_only_debuggers_read_goes_and_all_that_is_loaded_stays(zstandard: Path, strip_program: str) -> None:
-    before, size = ELF.parse(zstandard), zstandard.stat().st_size
-    slim.strip(zstandard.parent, strip_program)
-    after = ELF.parse(zstandard)
+    before, size = slim().ELF.parse(zstandard), zstandard.stat().st_size
+    slim().strip(zstandard.parent, strip_program)
+    after = slim().ELF.parse(zstandard)
     assert before is not None and after is not None
     assert zstandard.stat().st_size < 0.5 * size
-    assert slim.loads_as(before, after)
+    assert slim().loads_as(before, after)
     assert ctypes.CDLL(str(zstandard)).PyInit_backend_c is not None
     assert [path.name for path in zstandard.parent.iterdir()] == ["small.so"]
 
@@ -66,10 +72,10 @@ def test_of_a_library_that_would_not_load_as_before_only_what_is_not_loaded_beco
 ) -> None:
     """Some tools move a segment to where no page begins, which the loader refuses."""
     raw = zstandard.read_bytes()
-    found = ELF.parse(zstandard)
+    found = slim().ELF.parse(zstandard)
     assert found is not None
     spoilt = bytearray(raw)
-    index = [s.type == ELF.Segment.TYPE.LOAD and s.file_offset > 0 for s in found.segments].index(True)
+    index = [s.type == slim().ELF.Segment.TYPE.LOAD and s.file_offset > 0 for s in found.segments].index(True)
     if spoil == "offset":
         at = 64 + 56 * index + 8
         spoilt[at : at + 8] = (found.segments[index].file_offset + 8).to_bytes(8, "little")
@@ -80,12 +86,12 @@ def test_of_a_library_that_would_not_load_as_before_only_what_is_not_loaded_beco
     program = tmp_path / "strip"
     program.write_text("#!/bin/sh\n" + ("exit 1\n" if "nothing" in spoil else f'cp {tmp_path}/spoilt.so "$3"\n'))
     program.chmod(0o755)
-    slim.strip(zstandard.parent, str(program))
+    slim().strip(zstandard.parent, str(program))
     assert "small.so keeps its length: it would not load as before" in capsys.readouterr().out
     assert zstandard.stat().st_size == len(raw)
     assert len(zlib.compress(zstandard.read_bytes(), 1)) < 0.5 * len(zlib.compress(raw, 1))
-    after = ELF.parse(zstandard)
-    assert after is not None and slim.loads_as(found, after)
+    after = slim().ELF.parse(zstandard)
+    assert after is not None and slim().loads_as(found, after)
     assert ctypes.CDLL(str(zstandard)).PyInit_backend_c is not None
     assert [path.name for path in zstandard.parent.iterdir()] == ["small.so"]
 
@@ -93,20 +99,20 @@ def test_of_a_library_that_would_not_load_as_before_only_what_is_not_loaded_beco
 def test_a_machine_whose_strip_does_not_know_the_architecture_is_given_the_command(
     zstandard: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(slim.shutil, "which", lambda program: None)
-    assert slim.main([str(zstandard.parent), OWN]) == 1
+    monkeypatch.setattr(slim().shutil, "which", lambda program: None)
+    assert slim().main([str(zstandard.parent), OWN]) == 1
     assert f"no strip for {OWN}; sudo apt-get install binutils-multiarch" in capsys.readouterr().err
 
 
 def needed(path: Path) -> list[str]:
-    found = ELF.parse(path)
+    found = slim().ELF.parse(path)
     assert found is not None
     return [str(name) for name in found.libraries]
 
 
 def test_no_module_of_the_aircraft_loads_a_part_of_scipy_that_the_packages_leave_out() -> None:
     """Within a function it may: what that is for is then refused by name."""
-    left_out = {f"scipy.{part}" for part in slim.UNUSED["scipy"]}
+    left_out = {f"scipy.{part}" for part in slim().UNUSED["scipy"]}
     loaded: dict[str, set[str]] = {}
     for folder in (PACKAGING.parent / "contract", PACKAGING.parent / "onboard"):
         for file in folder.rglob("*.py"):
@@ -128,12 +134,12 @@ def test_opencv_does_without_ffmpeg(tmp_path: Path) -> None:
         (libraries / path.name).symlink_to(path)
     (folder / module.name).write_bytes(module.read_bytes())
     asked = needed(module)
-    assert slim.unlink_video(tmp_path)
+    assert slim().unlink_video(tmp_path)
     now = needed(folder / module.name)
-    assert now == [name for name in asked if not name.startswith(slim.FFMPEG)]
+    assert now == [name for name in asked if not name.startswith(slim().FFMPEG)]
     assert len(asked) - len(now) == 4
     for path in libraries.glob("lib*"):
-        if path.name.startswith((*slim.FFMPEG, "libswresample", "libvpx", "libdrm")):
+        if path.name.startswith((*slim().FFMPEG, "libswresample", "libvpx", "libdrm")):
             path.unlink()
     program = """
 import cv2, numpy as np
@@ -150,21 +156,21 @@ print(cv2.__file__)
         timeout=60,
     )  # fmt: skip
     assert (done.returncode, done.stdout.strip()) == (0, str(folder / "__init__.py")), done.stderr
-    assert (folder / slim.NO_VIDEO).is_file()
+    assert (folder / slim().NO_VIDEO).is_file()
 
 
 def test_another_architectures_libraries_and_requirements_are_refused(tmp_path: Path) -> None:
     site = tmp_path / "site"
     (site / "thing-1.dist-info").mkdir(parents=True)
-    other = next(name for name in slim.MACHINES if name != OWN)
+    other = next(name for name in slim().MACHINES if name != OWN)
     shutil.copy(library("zstandard", "zstandard/backend_c.*.so"), site / "thing.so")
-    assert slim.foreign(site, OWN) == []
-    assert slim.main([str(site), other]) == 1
+    assert slim().foreign(site, OWN) == []
+    assert slim().main([str(site), other]) == 1
     metadata = site / "thing-1.dist-info" / "METADATA"
     metadata.write_text("Requires-Dist: more; extra == 'x' and platform_machine == 'aarch64'\n")
-    assert slim.conditions(site) == []
+    assert slim().conditions(site) == []
     metadata.write_text("Requires-Dist: more; platform_machine == 'aarch64'\n")
-    assert slim.main([str(site), OWN]) == 1
+    assert slim().main([str(site), OWN]) == 1
 
 
 def test_an_addition_holds_nothing_that_is_there_already(tmp_path: Path) -> None:
@@ -175,7 +181,7 @@ def test_an_addition_holds_nothing_that_is_there_already(tmp_path: Path) -> None
             info = tmp_path / place / f"{name}-1.dist-info"
             info.mkdir()
             (info / "RECORD").write_text(f"{name}/__init__.py,,\n{info.name}/RECORD,,\n../bin/{name},,\n")
-    slim.subtract(tmp_path / "extra", tmp_path / "base")
+    slim().subtract(tmp_path / "extra", tmp_path / "base")
     assert sorted(p.name for p in (tmp_path / "extra").iterdir()) == ["more", "more-1.dist-info"]
     assert (tmp_path / "base" / "alike").is_dir()
 

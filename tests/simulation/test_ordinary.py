@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.stats import binomtest, kstest
 
 from contract.geodesy import LocalFrame
 from contract.rotations import R_ENU_NED, euler_from_matrix, matrix_from_quaternion
@@ -184,6 +183,8 @@ def test_position_drifts_as_sampled(tmp_path: Path) -> None:
 
 def test_autopilots_are_sampled_as_they_were_measured() -> None:
     """Over many seeds every error has its distribution, and both signs; none is the same for all."""
+    from scipy.stats import binomtest, kstest  # noqa: PLC0415  a second of processor time for each worker
+
     sampled = [ordinary(seed) for seed in range(1500)]
     errors = [spec.errors for spec in sampled]
     lag = np.array([e.position_lag_s for e in errors])

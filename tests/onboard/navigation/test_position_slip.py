@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from scipy.signal import lsim
 
 from benchmarks.sampled_flight import EPOCH_NS, PLACE, SampledFlight, SampledSpec
 from onboard.config.schema import parse_config
@@ -106,6 +105,8 @@ def test_a_receiver_five_metres_off_for_ten_seconds_is_found(path: PathSpec, dra
 
 def test_acceleration_s_part_is_that_of_a_critically_damped_filter() -> None:
     """(5.21) against the filter's own differential equation, in a turn that begins and ends."""
+    from scipy.signal import lsim  # noqa: PLC0415  a second of processor time for each worker
+
     t = np.arange(0.0, 30.0, 0.1)
     course = np.cumsum(np.where((t > 10.0) & (t < 13.0), 0.6, 0.0)) * 0.1
     velocity = 15.0 * np.stack([np.sin(course), np.cos(course), np.zeros_like(t)], axis=1)
