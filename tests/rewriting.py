@@ -16,7 +16,7 @@ import pytest
 from _pytest.assertion import rewrite
 
 PROCESSES = 2
-MOST = 2000  # contents that are kept, of some five hundred files
+MOST = 1000  # contents that are kept, of some four hundred files: 45 MB
 KEPT = Path.home() / ".cache" / "pointclick" / f"rewritten{rewrite.PYC_TAIL.removesuffix('.pyc')}"
 
 
@@ -38,7 +38,7 @@ def rewrite_once(config: pytest.Config, files: Sequence[Path], kept: Path = KEPT
     for share in shares if unknown else ():
         share.join()
     if unknown:
-        _keep(kept, known, unknown)
+        _keep(kept, known, old, unknown)
 
 
 def _rewrite(config: pytest.Config, files: Sequence[Path]) -> None:
@@ -79,9 +79,10 @@ def _read(kept: Path) -> dict[bytes, CodeType]:
     return found if isinstance(found, dict) else {}
 
 
-def _keep(kept: Path, known: dict[bytes, CodeType], new: Sequence[Path]) -> None:
-    """Replace the file at once, for several clones may write it; contents of long ago go."""
-    codes = known | {_digest(file): code for file in new if (code := rewrite._read_pyc(file, kept_code(file)))}
+def _keep(kept: Path, known: dict[bytes, CodeType], used: Sequence[Path], new: Sequence[Path]) -> None:
+    """Replace the file at once, for several clones may write it; contents that were used long ago go."""
+    now = {digest: known.pop(digest) for digest in map(_digest, used) if digest in known}
+    codes = known | now | {_digest(file): code for file in new if (code := rewrite._read_pyc(file, kept_code(file)))}
     half = kept.with_name(f"{kept.name}.{os.getpid()}")
     try:
         kept.parent.mkdir(parents=True, exist_ok=True)

@@ -70,3 +70,19 @@ def test_another_clone_has_what_was_rewritten_of_the_same_content_under_its_own_
     assert codes == [(str(file), str(file), codes[0][2]) for file in sorted(tmp_path.glob("*/test_two.py"))]
     assert len(rewritten) == (2 if damage else 1)
     assert rewriting._read(kept) or damage
+
+
+def test_contents_that_were_used_long_ago_go_first(
+    pytestconfig: pytest.Config, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "dont_write_bytecode", False)
+    monkeypatch.setattr(rewriting, "MOST", 2)
+    monkeypatch.setattr(rewriting.multiprocessing, "get_context", lambda kind: InThisProcess)
+    kept, sources = tmp_path / "kept", [tmp_path / f"test_{name}.py" for name in ("one", "two", "three")]
+    for source in sources:
+        source.write_text(f"{source.stem} = 1\n")
+    one, two, three = sources
+    rewrite_once(pytestconfig, [one, two], kept)
+    kept_code(one).unlink()
+    rewrite_once(pytestconfig, [one, three], kept)
+    assert {code.co_names[-1] for code in rewriting._read(kept).values()} == {"test_one", "test_three"}
