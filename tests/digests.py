@@ -7,8 +7,6 @@ of all sets' bytes in the order in which they came, how many there were, and how
 on the same machine with the same libraries only, so no line of it is kept.
 """
 
-from __future__ import annotations
-
 import argparse
 from hashlib import sha256
 

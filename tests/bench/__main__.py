@@ -19,7 +19,6 @@ python -m tests.bench sh 'v4l2-ctl --list-devices; systemctl status'
 
 
 def main() -> int:
-    """The command line; returns its exit code."""
     parser = argparse.ArgumentParser(
         prog="python -m tests.bench", epilog=EXAMPLES, formatter_class=argparse.RawDescriptionHelpFormatter
     )

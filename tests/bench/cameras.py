@@ -22,7 +22,6 @@ SHOW_TIME = (
 
 
 def load(guest: Machine) -> None:
-    """Both cameras."""
     load_vivid(guest, 0)
     load_loopback(guest, 10)
 
@@ -92,5 +91,4 @@ def unload(guest: Machine, module: str) -> None:
 
 
 def set_control(guest: Machine, device: str, name: str, value: int) -> None:
-    """Set one of the driver's controls, its faults among them."""
     guest.shell(f"v4l2-ctl -d {device} -c {name}={value}")

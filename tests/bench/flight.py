@@ -37,7 +37,6 @@ class Flight:
 
     @property
     def pictures(self) -> list[NDArray[np.uint8]]:
-        """All of them, grey."""
         files = sorted((self.folder / "frames").iterdir())
         return [np.asarray(cv2.imread(str(file), cv2.IMREAD_GRAYSCALE), np.uint8) for file in files]
 

@@ -76,7 +76,6 @@ class Sensor:
         os.close(self._fd)
 
     def set(self, brightness: int) -> Switched:
-        """Switch."""
         wanted = v4l2.Control(id=BRIGHTNESS, value=brightness)
         asked_ns = time.monotonic_ns()
         fcntl.ioctl(self._fd, v4l2.S_CTRL, wanted)
@@ -168,7 +167,6 @@ def switched(camera: Watched, sensor: Sensor, brightness: int, noise: random.Ran
 
 
 def main() -> None:
-    """Print the bounds."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("device")
     parser.add_argument("size")

@@ -80,7 +80,6 @@ class Job:
         self._ended: queue.Queue[int | None] = queue.Queue()
 
     def received(self, answer: Mapping[str, Any]) -> None:
-        """Take one line of the agent's."""
         if "text" in answer:
             self.text += answer["text"]
             if self._on_text is not None:
@@ -90,7 +89,6 @@ class Job:
 
     @property
     def is_over(self) -> bool:
-        """Whether its end is known."""
         return not self._ended.empty()
 
     def wait(self, timeout_s: float) -> Done:
@@ -148,11 +146,9 @@ class Machine:
         return job
 
     def run(self, *argv: str, timeout_s: float = 30.0, **how: Any) -> Done:
-        """Run a command to its end."""
         return self.start(argv, timeout_s=timeout_s, **how).wait(timeout_s + 10.0)
 
     def shell(self, script: str, timeout_s: float = 30.0) -> str:
-        """What a shell script says; BenchError if it fails."""
         return self.run("/bin/sh", "-euc", script, timeout_s=timeout_s).ok()
 
     def clock_offset_ns(self) -> int:
@@ -171,7 +167,6 @@ class Machine:
         return int(self.run(PYTHON, "-c", "import time; print(time.time_ns() - time.monotonic_ns())").ok())
 
     def put(self, path: str, content: str | bytes) -> None:
-        """Write a file in the guest (small ones: through the serial line)."""
         raw = content.encode() if isinstance(content, str) else content
         coded = base64.b64encode(raw).decode()
         self.shell(f"mkdir -p $(dirname {path}) && echo {coded} | base64 -d >{path}")

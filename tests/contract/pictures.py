@@ -34,7 +34,6 @@ def small_picture(
 
 @st.composite
 def pictures(draw: st.DrawFn) -> LinkPicture:
-    """Any that can be sent."""
     width, height = draw(st.integers(1, 4096)), draw(st.integers(1, 4096))
     kind = draw(st.sampled_from(ImageFormat))
     rest = random.Random(draw(st.integers(0, 9))).randbytes(draw(st.integers(0, 30_000)))

@@ -1,7 +1,5 @@
 """Requests to look at a place: every one comes back as it was, and nothing that is none is taken for one."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math

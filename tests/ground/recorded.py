@@ -9,7 +9,6 @@ from onboard.storage.mcap_writer import SessionRecorder
 
 
 def record(path: Path, sets: Iterable[FeatureSet]) -> str:
-    """Writes them; the file's name again."""
     with SessionRecorder(path, "uav-1") as out:
         for s in sets:
             out.write_event(Frame(s.capture_unix_ns, s.frame, None, f"picture_{s.frame}.png"))

@@ -1,7 +1,5 @@
 """A camera component on a laptop: sets that come over zenoh answer a standard's client, the aircraft follows."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """`--connect mavlink:...`: what may be written, and which system numbers are refused."""
 
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -60,8 +58,6 @@ def test_what_cannot_be_read_is_one_line(text: str, reported: str) -> None:
 
 
 class Link:
-    """Answers as it is asked to."""
-
     def __init__(self, answer: Answer) -> None:
         self.answer = answer
 

@@ -1,7 +1,5 @@
 """The ground's end of clicks over MAVLink, with an aircraft's end in the same process, over real sockets."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import socket
@@ -43,8 +41,6 @@ KEY = bytes(range(32))
 
 
 class Wire:
-    """Datagrams to one port, as the telemetry's wire."""
-
     def __init__(self, port: int) -> None:
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.connect(("127.0.0.1", port))

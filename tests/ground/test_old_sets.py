@@ -101,7 +101,6 @@ def both_days(sender: Sender) -> None:
 
 
 def watched(sender: Sender, send: Callable[[Sender], None], capsys: pytest.CaptureFixture[str]) -> tuple[Any, str]:
-    """The last row that `watch` shows of three, and what it warns of."""
     words = "watch", "--json", "--count", "3", "--period", "0.7", "--connect", sender.endpoint
     assert while_sending(lambda: send(sender), *words) == 0
     printed = capsys.readouterr()

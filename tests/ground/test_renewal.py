@@ -15,8 +15,6 @@ from tests.waiting import PATIENCE_S, eventually
 
 
 class FakeSession:
-    """A zenoh session with no one on the other side."""
-
     def __init__(self, close_error: Exception | None = None, listen_error: Exception | None = None) -> None:
         self.is_closed = False
         self.close_error, self.listen_error = close_error, listen_error

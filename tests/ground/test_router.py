@@ -41,8 +41,6 @@ ROUTER = (sys.executable, "-m", "ground", "router")
 
 @dataclass(frozen=True)
 class Station:
-    """A router with its list, and everybody's certificates."""
-
     keys: Path
     endpoint: str
     router: Router
@@ -83,7 +81,6 @@ def station(keys: Path) -> Iterator[Station]:
 
 @contextlib.contextmanager
 def ended(program: subprocess.Popen[bytes]) -> Iterator[None]:
-    """A program that is ended, properly, at the end."""
     try:
         yield
         assert program.poll() is None

@@ -100,7 +100,6 @@ class Since:
 
 
 def reported_age_s(pattern: str, text: str) -> float:
-    """The number in a text."""
     found = re.search(pattern, text)
     assert found is not None, text
     return float(found[1])

@@ -22,8 +22,6 @@ COMMON_SIGMAS = np.array([1.2, 1.4, 2.0, 0.006, 0.006, 0.012, 0.008, 0.01, 0.01]
 
 @dataclass(frozen=True, eq=False)
 class Errors:
-    """What a world is sampled from."""
-
     feature_relative: float = 0.006
     relief_relative: float = 0.02
     roughness: float = 0.004
@@ -40,14 +38,12 @@ class World:
     truth_enu_m: Array
 
     def error(self, index: int, fix: Fix) -> Array:
-        """Answer minus truth, ENU metres."""
         assert fix.height_ellipsoid_m is not None
         at: Array = ORIGIN.to_enu(fix.lat_deg, fix.lon_deg, fix.height_ellipsoid_m)
         return at - self.truth_enu_m[index]
 
 
 def common_covariance(rng: np.random.Generator) -> Array:
-    """Nine states, correlated at random."""
     factor = rng.normal(size=(9, 12))
     return factor @ factor.T / 12.0 * np.outer(COMMON_SIGMAS, COMMON_SIGMAS)
 

@@ -1,7 +1,5 @@
 """R-JPEGs as DJI's and FLIR's thermal cameras write them, of given counts."""
 
-from __future__ import annotations
-
 import io
 import struct
 from pathlib import Path

@@ -34,7 +34,6 @@ from onboard.navigation.navigator import NavState
 from onboard.navigation.position_interpolation import Displacement
 
 Array = NDArray[np.float64]
-Ids = NDArray[np.int64]
 
 CAMERA = Camera.from_field_of_view(640, 480, 40.0)
 FRAME = LocalFrame(-43.38, 172.40, 350.0)
@@ -75,7 +74,6 @@ class Ground:
         self.slope = slope
 
     def height_m(self, xy: Array) -> Array:
-        """Of ENU points (..., 2)."""
         return xy @ self.slope + self._amplitude * np.sin(xy @ self._wave.T + self._phase).sum(axis=-1)
 
     def meet(self, centre: Array, rays_enu: Array) -> Array:
@@ -88,8 +86,6 @@ class Ground:
 
 
 class Path:
-    """The vehicle's true motion: straight, shaken by a few tones."""
-
     def __init__(self, rng: np.random.Generator, spec: SceneSpec, length_s: float) -> None:
         heading = np.radians(spec.heading_deg)
         self._course = np.array([np.sin(heading), np.cos(heading), 0.0])
@@ -98,17 +94,14 @@ class Path:
         self._phase = rng.uniform(0.0, 2.0 * np.pi, (3, 3))
 
     def position_enu_m(self, t: float) -> Array:
-        """(3,), over the origin half way."""
         out: Array = self._course * self._spec.speed_m_s * (t - 0.5 * self._length_s)
         climbed_m = self._spec.climb_m_s * (t - 0.5 * self._length_s)
         return out + [0.0, 0.0, self._spec.height_m + climbed_m + np.sin(0.3 * t)]
 
     def velocity_enu_m_s(self, t: float) -> Array:
-        """(3,)."""
         return self._course * self._spec.speed_m_s + [0.0, 0.0, self._spec.climb_m_s + 0.3 * np.cos(0.3 * t)]
 
     def R_enu_body(self, t: float) -> Array:
-        """(3, 3)."""
         shake = (
             np.radians(self._spec.wobble_deg) * np.sqrt(2.0 / 3.0) * np.sin(self._rate * t + self._phase).sum(axis=1)
         )
@@ -116,7 +109,6 @@ class Path:
         return R_ENU_NED @ matrix_from_euler(shake[0], shake[1], yaw)
 
     def body_rate_rad_s(self, t: float) -> Array:
-        """(3,), body axes."""
         h = 0.005
         return log_so3(self.R_enu_body(t - h).T @ self.R_enu_body(t + h)) / (2.0 * h)
 
@@ -145,11 +137,9 @@ class Scene:
 
     @property
     def keys(self) -> NDArray[np.intp]:
-        """Indices of the keyframes."""
         return np.flatnonzero(self.is_key)
 
     def window(self) -> Window:
-        """A window that has been given all keyframes, unsolved."""
         window = Window(self.config, self.camera)
         for k in self.keys:
             window.add(int(k), self.observations[k], self.navs[k], (0.0, 0.0), self.rates[k], self.flown[k])

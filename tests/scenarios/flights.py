@@ -54,7 +54,6 @@ class Outcome:
 
     @property
     def statuses(self) -> Counter[Status]:
-        """Of the pictures, by their last set."""
         return Counter(s.status for s in self.sets.values())
 
     @property
@@ -85,8 +84,6 @@ class Outcome:
 
 
 class _Sets(SetSink):
-    """Keeps the last set of each picture."""
-
     def __init__(self) -> None:
         self.by_frame: dict[int, FeatureSet] = {}
 

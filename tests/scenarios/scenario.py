@@ -44,7 +44,6 @@ class Expected:
     shortfall: str = ""  # part of the reason and remedy of a flight of which nothing is solved
 
     def check(self, outcome: Outcome) -> None:
-        """Fail where something is not as expected."""
         self._pictures(outcome)
         self._clicks(outcome)
         if self.shortfall:
@@ -134,13 +133,11 @@ class Scenario:
     long: str = ""  # where `make test` shows the same, or why it cannot
 
     def play(self) -> Outcome:
-        """Fly it."""
         folder = simulated(self.flight)
         changed = folder if self.spoilt is None else self.spoilt(folder)
         return play(changed, *self.config, terrain=self.terrain, spoil=self.telemetry)
 
     def check(self) -> None:
-        """Fail where something is not as expected."""
         outcome = self.play()
         self.expected.check(outcome)
         if self.radius_of is not None:

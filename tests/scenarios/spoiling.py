@@ -66,12 +66,10 @@ def white(image: Picture) -> Picture:
 
 
 def without_fix(is_lost: Callable[[float], bool]) -> Spoil:
-    """The receiver has no fix at these times."""
     return lambda event, t: replace(event, fix_type=1) if isinstance(event, GpsQuality) and is_lost(t) else event
 
 
 def silence(is_silent: Callable[[float], bool]) -> Spoil:
-    """Nothing is received at these times."""
     return lambda event, t: None if is_silent(t) else event
 
 

@@ -21,7 +21,6 @@ Overrides = tuple[tuple[str, object], ...]
 
 
 def ground(style: str, flight: DescribedSpec = LARGE.flight, **texture: int) -> SessionSpec:
-    """A straight leg over some ground, 640 x 480 at 5 Hz."""
     return replace(LARGE, flight=flight, texture=TextureSpec(style, **texture))
 
 

@@ -34,12 +34,10 @@ class Clicks:
 
     @property
     def inside(self) -> float:
-        """Share inside the 90 % ellipse."""
         return float(np.mean(self.ratio < 1.0))
 
     @property
     def answered(self) -> float:
-        """Share of the clicks that were asked."""
         return len(self.ratio) / self.asked
 
 
@@ -51,7 +49,6 @@ class Changed(SampledFlight):
         self._change, self._draws = change, np.random.default_rng([seed, 5]).standard_normal((400, 3))
 
     def events(self) -> Iterator[Event]:
-        """As sampled, then changed."""
         for event in super().events():
             yield self._change(event, (event.stamp_ns - EPOCH_NS) / 1e9, self._draws)
 
@@ -70,7 +67,6 @@ def clicks_of(flights: list[SampledFlight], after_s: float) -> Clicks:
 
 
 def climb(spec: PathSpec, seconds: float, seed: int) -> Trajectory:
-    """Straight up at 2.7 m/s, a little wind."""
     time = np.arange(-6.0, seconds + 6.0, 0.05)
     drift = np.random.default_rng([seed, 77]).normal(0.0, 0.2, 2)
     level = drift * time[:, None] + 0.3 * np.stack([np.sin(0.4 * time), np.cos(0.33 * time)], axis=1)
@@ -156,7 +152,6 @@ class LateInTurns(SampledFlight):
     """A simulated flight whose pictures' stamps are 150 ms late in turns, which nothing declares."""
 
     def events(self) -> Iterator[Event]:
-        """As sampled, with later stamps above 8 degrees of bank."""
         for event in super().events():
             turns = isinstance(event, Frame) and self.bank_deg[event.index] > 8.0
             yield replace(event, stamp_ns=event.stamp_ns + 150_000_000) if turns else event

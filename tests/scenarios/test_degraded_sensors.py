@@ -63,7 +63,6 @@ class Asked:
         return float(np.mean(self.chi2[chosen] < CHI2_99))
 
     def answered(self, start_s: float, end_s: float) -> float:
-        """Share of clicks on pictures between two moments that got an answer."""
         return float(np.mean(self.is_answered[(self.seconds >= start_s) & (self.seconds < end_s)]))
 
     def radius_m(self, start_s: float, end_s: float) -> float:

@@ -33,7 +33,6 @@ class Rare:
 
 
 def no_velocity(event: Event) -> Event | None:
-    """A position without its velocity."""
     return replace(event, velocity_ned_m_s=None) if isinstance(event, PositionFix) else event
 
 

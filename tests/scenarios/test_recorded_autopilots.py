@@ -55,7 +55,6 @@ class Row:
     long: str = ""  # where `make test` shows the same, or why it cannot
 
     def first(self, name: str) -> int:
-        """The seed from which these count."""
         return seed_of(name, 3) if self.of_benchmark else 0
 
     def scores(self) -> list[Score]:
@@ -71,7 +70,6 @@ class Row:
         return scores
 
     def alone(self, score: Score, scene: Scene) -> Score:
-        """Check one draw."""
         assert score.answered["all"] > self.answered * score.asked["all"]
         assert np.median(score.error_m) < self.median_m
         assert np.median(score.semi_m) < self.semi_m
@@ -83,7 +81,6 @@ class Row:
         return score
 
     def check(self) -> None:
-        """Fail where something is not as expected."""
         scores = self.scores()
         ratio, bank, error = (np.concatenate([getattr(s, n) for s in scores]) for n in ("ratio", "bank_deg", "error_m"))
         steep = bank > STEEP_DEG

@@ -1,7 +1,5 @@
 """What is said to have been seen was seen, and nearly all that was: rendered flights against rays cast to the truth."""
 
-from __future__ import annotations
-
 import pytest
 
 from benchmarks.seen import Judged, judge, rows, seeded

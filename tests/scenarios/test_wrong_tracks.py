@@ -23,7 +23,6 @@ HOVER = SampledSpec(TIMED, seconds=70.0, rate_hz=2.0, **WRONG_TRACKS)
 
 
 def ratios(seeds: Sequence[int]) -> Array:
-    """Clicks' errors over their 90 % ellipses of some flights."""
     out = []
     for seed in seeds:
         flight = SampledFlight(HOVER, 12380 + seed)

@@ -31,14 +31,11 @@ UNSEEN = (Status.NO_GPS, Status.TURNING)  # pictures that nothing of the lens ke
 
 @dataclass
 class Followed:
-    """A flight of a reported zoom, and what came of it."""
-
     flight: ZoomFlight
     found: Simulated
 
     @property
     def errors(self) -> np.ndarray:
-        """Of all answers, in semi-axes of their 90 % ellipses."""
         return np.array([error for errors in self.found.errors.values() for error in errors])
 
     def waited_s(self) -> list[float]:

@@ -24,7 +24,6 @@ RATE_HZ = 10.0  # of what is reported
 
 # (time, magnification): straight in the logarithm between.
 STEPS = ((0.0, 1.0), (14.0, 1.0), (14.3, 2.5), (36.0, 2.5), (36.3, 6.0), (70.0, 6.0))
-RAMPS = ((0.0, 1.0), (14.0, 1.0), (20.0, 6.0), (52.0, 6.0), (55.0, 1.5), (90.0, 1.5))
 Profile = tuple[tuple[float, float], ...]
 
 
@@ -41,7 +40,6 @@ class ZoomFlight(SampledFlight):
     spec: ZoomSpec
 
     def times_at(self, moment_s: Array) -> Array:
-        """Magnifications."""
         at, times = np.array(self.spec.profile).T
         return np.exp(np.interp(moment_s, at, np.log(times)))
 
@@ -61,12 +59,10 @@ class ZoomFlight(SampledFlight):
         return replace(WIDE, fx_px=focal[0], fy_px=focal[0], stated_sigma=sigma, stated_zoom=table)
 
     def moves(self) -> list[tuple[float, float]]:
-        """When the lens moves."""
         p = self.spec.profile
         return [(a[0], b[0]) for a, b in itertools.pairwise(p) if a[1] != b[1]]
 
     def stands(self, frame: int) -> bool:
-        """Whether the lens stands still at a picture."""
         t = float(self.times_s[frame])
         return not any(a < t < b for a, b in self.moves())
 

@@ -1,7 +1,5 @@
 """Somebody at a browser, who waits for what is to come and never for a while."""
 
-from __future__ import annotations
-
 import re
 from typing import Any
 
@@ -55,7 +53,6 @@ class Operator:
             self.elsewhere.append(request.url)
 
     def by(self, name: str) -> Any:
-        """By its data-testid."""
         return self.page.get_by_test_id(name)
 
     def at(self, u: float, v: float) -> tuple[float, float]:
@@ -64,17 +61,14 @@ class Operator:
         return box["x"] + (u + 0.5) * box["width"] / 640.0, box["y"] + (v + 0.5) * box["height"] / 480.0
 
     def click(self, u: float, v: float) -> str:
-        """Click a pixel; what the page then says."""
         self.page.mouse.click(*self.at(u, v))
         self.page.wait_for_function("() => document.querySelector('[data-testid=answer]').dataset.kind !== 'note'")
         return str(self.by("answer").inner_text())
 
     def wait_for_pins(self, count: int) -> None:
-        """Until the list has so many."""
         self.page.wait_for_function("n => document.querySelectorAll('[data-testid=pin]').length === n", arg=count)
 
     def wait_for_frame(self, frame: int) -> None:
-        """Until this picture is shown."""
         self.page.wait_for_function(
             "n => document.querySelector('#frame-label').textContent.startsWith(`picture ${n} `)", arg=frame
         )
@@ -86,7 +80,6 @@ class Operator:
         )
 
     def ask(self, path: str) -> Any:
-        """What the server says."""
         return self.page.request.get(self.server.local + path).json()
 
     def newest_pin(self) -> dict[str, Any]:
@@ -105,13 +98,11 @@ class Operator:
         return newest()
 
     def frame(self) -> int:
-        """The number of the picture that is shown."""
         found = re.search(r"picture (\d+)", self.page.locator("#frame-label").inner_text())
         assert found is not None
         return int(found[1])
 
     def show(self, frame: int, simulated: Simulated) -> None:
-        """Go to a picture by the time bar."""
         self.page.locator("#time-bar").fill(str(simulated.frames.index(frame)))
         self.wait_for_frame(frame)
 
@@ -136,7 +127,6 @@ class Operator:
         self.wait_for_pins(0)
 
     def clear(self) -> None:
-        """No pins and no ties are left."""
         reported = self.ask("api/pins")
         for kind in ("pins", "ties"):
             for held in reported[kind]:

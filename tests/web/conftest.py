@@ -1,7 +1,5 @@
 """One flight, one server and one real Chromium for all tests of the page. Without Chromium: left out, loudly."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -17,7 +15,6 @@ from tests.web.served import ARGUMENTS, CHROMIUM, Server, Simulated, recorded
 
 @pytest.fixture(scope="session")
 def simulated() -> Simulated:
-    """A recorded session with pictures."""
     return recorded()
 
 
@@ -50,7 +47,6 @@ def station(simulated: Simulated, tmp_path_factory: pytest.TempPathFactory) -> I
 
 @pytest.fixture(scope="session")
 def chromium() -> Iterator[Any]:
-    """One real browser for all tests."""
     if CHROMIUM is None:
         pytest.skip(f"{NO_PROGRAM} chromium; sudo apt-get install chromium")
     from playwright.sync_api import sync_playwright  # noqa: PLC0415
@@ -89,7 +85,6 @@ def anna(station: Server, chromium: Any, simulated: Simulated, first_operator: l
 
 @pytest.fixture
 def operators(station: Server, chromium: Any, simulated: Simulated) -> Iterator[Callable[..., Operator]]:
-    """More of them, with browsers of their own."""
     made: list[Operator] = []
 
     def another(server: Server = station, **context: Any) -> Operator:

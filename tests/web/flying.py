@@ -23,8 +23,6 @@ from tests.web.rendered import FlyingSource
 
 
 class Flight:
-    """Serves in a thread while it is entered."""
-
     def __init__(
         self,
         pins: Path,

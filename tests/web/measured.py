@@ -1,7 +1,5 @@
 """What an operator waits for, measured in the browser: by tests with bounds, by `benchmarks.web` for figures."""
 
-from __future__ import annotations
-
 import io
 import time
 from pathlib import Path

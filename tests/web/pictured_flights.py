@@ -1,7 +1,5 @@
 """Flights for the pictures of docs: a car that drives off below, and a fire with people near it in heat."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from contract.camera import Camera

@@ -1,7 +1,5 @@
 """Run with the extra `video` alone (tests/test_install.py): a video is written, read, and its frames' size printed."""
 
-from __future__ import annotations
-
 import sys
 import time
 

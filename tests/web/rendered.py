@@ -1,7 +1,5 @@
 """A long flight for little: sets as a camera makes them that looks down on its way north, and rendered pictures."""
 
-from __future__ import annotations
-
 import json
 import threading
 from collections.abc import Callable
@@ -32,7 +30,6 @@ DOWN = np.diag([1.0, -1.0, -1.0])
 
 
 def rendered_set(frame: int) -> FeatureSet:
-    """The set of one picture."""
     first = plain_set(120, seed=frame % 50)
     return replace(
         first,
@@ -47,7 +44,6 @@ def rendered_set(frame: int) -> FeatureSet:
 
 @lru_cache(maxsize=50)
 def rendered_picture(seed: int) -> NDArray[np.uint8]:
-    """Something to look at, grey, 640 x 480."""
     coarse = np.random.default_rng(seed).integers(40, 220, (12, 16), dtype=np.uint8)
     return np.asarray(cv2.resize(coarse, (640, 480), interpolation=cv2.INTER_CUBIC), np.uint8)
 
@@ -62,7 +58,6 @@ def record_rendered(path: Path, pictures: int = 12) -> None:
 
 
 def not_measured(feature_set: FeatureSet, uv_px: tuple[float, float]) -> FeatureSet:
-    """An aircraft that keeps no pictures."""
     raise LinkError(NOT_TRIED)
 
 
@@ -97,20 +92,16 @@ class FlyingSource:
         self._encoded = [cv2.imencode(".jpg", rendered_picture(seed))[1].tobytes() for seed in range(50)]
 
     def fly_to(self, count: int) -> None:
-        """So many pictures have come."""
         with self._lock:
             self._count = count
 
     def vehicles(self) -> list[str]:
-        """As many as were asked for."""
         return sorted(self._names)
 
     def version(self, vehicle: str) -> int:
-        """How many came."""
         return self._count
 
     def frames(self, vehicle: str, newest: int | None = None) -> list[FrameRow]:
-        """All of them."""
         first = self._first
         step_ns = round(STEP_S * 1e9)
         return [
@@ -119,22 +110,18 @@ class FlyingSource:
         ]
 
     def feature_set(self, vehicle: str, session: int | None, frame: int) -> FeatureSet | None:
-        """Drawn when asked for."""
         if frame >= self._count:
             return None
         made, column = rendered_set(frame), int(vehicle.rpartition("-")[2]) - 1
         return replace(made, vehicle=vehicle, camera_lon_deg=made.camera_lon_deg + 4e-4 * column)
 
     def picture(self, vehicle: str, session: int | None, frame: int) -> Picture | None:
-        """One of fifty."""
         return Picture(self._encoded[frame % 50], "image/jpeg") if frame < self._count else None
 
     def age_s(self, feature_set: FeatureSet) -> float | None:
-        """Against the newest."""
         return (self._count - 1 - feature_set.frame) * STEP_S + self.silent_s
 
     def report(self, vehicle: str) -> VehicleReport:
-        """Well."""
         shares = {"mount": 60, "gps": 21}
         unix_s = self._first.capture_unix_ns / 1e9 + (self._count - 1) * STEP_S - self.status_age_s
         status = VehicleStatus(
@@ -150,11 +137,9 @@ class FlyingSource:
         return ""
 
     def measured(self, feature_set: FeatureSet, uv_px: tuple[float, float]) -> FeatureSet:
-        """As a test wants it."""
         return self.measure(feature_set, uv_px)
 
     def unfollowed(self, vehicle: str) -> str:
-        """As a test wants it."""
         return self.why_unfollowed
 
     def follow(self, vehicle: str, request: TrackRequest) -> dict[str, object]:
@@ -168,7 +153,6 @@ class FlyingSource:
         return {"track": self._followed, "frame": request.frame if isinstance(request, StartTrack) else None}
 
     def unlooked(self, vehicle: str) -> str:
-        """As a test wants it."""
         return self.why_unlooked
 
     def look(self, vehicle: str, request: LookRequest) -> dict[str, Any]:
@@ -188,7 +172,6 @@ class FlyingSource:
         return {"result": "accepted"} | ({"may_circle": True} if self.may_circle and not is_circle else {})
 
     def damage(self) -> list[str]:
-        """None."""
         return []
 
     def close(self) -> None:

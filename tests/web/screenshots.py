@@ -5,8 +5,6 @@
 Of all, or of those that are named.
 """
 
-from __future__ import annotations
-
 import argparse
 import io
 import shutil
@@ -70,7 +68,6 @@ def alone(folder: Path) -> tuple[Path, Simulated]:
 
 
 def with_pins(browser: Any, folder: Path) -> None:
-    """On a laptop and on a phone."""
     path, simulated = alone(folder)
     with closing(Server("--from", path, "--pins", folder / "pins.sqlite")) as server:
         on_a_laptop(browser, server, simulated)
@@ -78,7 +75,6 @@ def with_pins(browser: Any, folder: Path) -> None:
 
 
 def on_a_laptop(browser: Any, server: Server, simulated: Simulated) -> None:
-    """Four pins, the first one chosen, and the place under the cursor."""
     anna = Operator(browser, server)
     anna.show(simulated.newest, simulated)
     anna.page.locator("#who").fill("anna")
@@ -97,7 +93,6 @@ def on_a_laptop(browser: Any, server: Server, simulated: Simulated) -> None:
 
 
 def on_a_phone(browser: Any, server: Server, simulated: Simulated) -> None:
-    """The same pin's card."""
     ben = Operator(browser, server, **PHONE)
     ben.show(simulated.newest, simulated)
     ben.by("pin").filter(has_text="red jacket").click()
@@ -187,7 +182,6 @@ TAKEN: dict[str, Callable[[Any, Path], None]] = {
 
 
 def save(png: bytes, name: str) -> None:
-    """As JPEG."""
     Image.open(io.BytesIO(png)).convert("RGB").save(IMAGES / name, quality=QUALITY)
     print(IMAGES / name)
 

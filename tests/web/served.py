@@ -1,7 +1,5 @@
 """A short flight with pictures, and servers on it as their user starts them."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil
@@ -56,7 +54,6 @@ class Simulated:
 
     @property
     def newest(self) -> int:
-        """The last frame that answers."""
         found = self.recording.newest(self.vehicle)
         assert found is not None
         return found.frame
@@ -102,7 +99,6 @@ def replay(flight: Path, out: Path, *words: object) -> None:
 
 
 def onboard(*words: object) -> None:
-    """A command of `pc-onboard` that succeeds."""
     done = subprocess.run(
         [sys.executable, "-m", "onboard", *map(str, words)],
         capture_output=True, text=True, check=False, cwd=ROOT, timeout=300,
@@ -145,11 +141,9 @@ class PageProgram:
 
     @property
     def local(self) -> str:
-        """What `Operator` asks the server at."""
         return self.url
 
     def end(self, number: signal.Signals = signal.SIGINT) -> int:
-        """A signal, and its exit status then."""
         self.process.send_signal(number)
         return self.process.wait(self.ends_within_s)
 
@@ -162,7 +156,6 @@ class Server:
         self.start(port)
 
     def start(self, port: int = 0) -> None:
-        """With the same arguments, perhaps once more."""
         program = PageProgram("web", "--port", port, *self.arguments)
         if not program.is_served:
             raise AssertionError(f"the server did not start: {program.printed}")
@@ -173,16 +166,13 @@ class Server:
 
     @property
     def local(self) -> str:
-        """Its address on this machine."""
         return f"http://127.0.0.1:{self.port}/"
 
     def kill(self) -> None:
-        """As a power cut ends it."""
         self.process.kill()
         self.process.wait(PATIENCE_S)
 
     def close(self) -> None:
-        """As its user ends it."""
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGINT)
             try:

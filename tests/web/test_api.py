@@ -1,7 +1,5 @@
 """The HTTP API: the same answers as the command line, pins on disk, ties, and what is refused."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import re
@@ -29,8 +27,6 @@ pytestmark = pytest.mark.xdist_group("web: served alone")
 
 
 class Api:
-    """A client of an application in this process."""
-
     def __init__(
         self, simulated: Simulated, pins: Path, rules: Rules | None = None, tiles: Tiles | None = None
     ) -> None:
@@ -41,14 +37,12 @@ class Api:
         self.client = TestClient(create_app(self.context, rules or Rules()), base_url="http://127.0.0.1:8080")
 
     def click(self, u: float, v: float, frame: int | None = None) -> dict[str, Any]:
-        """The body of a click."""
         return {
             "vehicle": self.simulated.vehicle, "frame": self.simulated.newest if frame is None else frame,
             "u": u, "v": v,
         }  # fmt: skip
 
     def pin(self, u: float, v: float, frame: int | None = None, **more: Any) -> dict[str, Any]:
-        """A pin that must be answered."""
         made = self.client.post("/api/pins", json={"click": self.click(u, v, frame), **more})
         assert made.status_code == 201, made.text
         pin: dict[str, Any] = made.json()["pin"]

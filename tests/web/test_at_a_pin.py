@@ -1,7 +1,5 @@
 """What a chosen pin offers: its coordinate in the chosen system, copied, shared, and how far it is from here."""
 
-from __future__ import annotations
-
 import math
 import re
 import socket

@@ -1,7 +1,5 @@
 """A base map of the operator's own, seen in the browser."""
 
-from __future__ import annotations
-
 import json
 import re
 import threading
@@ -60,7 +58,6 @@ class Elsewhere(BaseHTTPRequestHandler):
     archive = b""
 
     def do_GET(self) -> None:
-        """A part, a tile, or what there is."""
         content, status = self.archive, 200
         if found := re.fullmatch(r"/(\d+)/\d+/\d+\.png", self.path):
             content, status = (rendered_tile(), 200) if 10 <= int(found[1]) <= 12 else (b"", 404)
@@ -77,7 +74,6 @@ class Elsewhere(BaseHTTPRequestHandler):
         self.wfile.write(content)
 
     def do_OPTIONS(self) -> None:
-        """Whether parts may be asked for."""
         self.send_response(204)
         self.send_header("access-control-allow-origin", "*")
         self.send_header("access-control-allow-headers", "range")
@@ -89,7 +85,6 @@ class Elsewhere(BaseHTTPRequestHandler):
 
 @pytest.fixture
 def elsewhere(tmp_path: Path) -> Iterator[str]:
-    """Its address."""
     write_region(tmp_path / "there.pmtiles")
     handler = type("Handler", (Elsewhere,), {"archive": (tmp_path / "there.pmtiles").read_bytes()})
     server = ThreadingHTTPServer(("127.0.0.1", 0), handler)

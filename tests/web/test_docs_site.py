@@ -1,7 +1,5 @@
 """`make docs`: every page as a site that opens from a folder, search too, and fetches nothing from the network."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 from pathlib import Path

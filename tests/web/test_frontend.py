@@ -1,7 +1,5 @@
 """The page's pure modules under Node, against what Python says."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
@@ -117,7 +115,6 @@ def test_a_picture_lies_on_the_ground_as_far_as_it_shows_ground() -> None:
 
 
 def lattice(s: FeatureSet) -> list[tuple[float, float]]:
-    """The pixels of a mesh."""
     u, v = (np.linspace(-0.5, size - 0.5, count) for size, count in zip(s.camera.size_px, MESH, strict=True))
     return [(float(x), float(y)) for y in v for x in u]
 

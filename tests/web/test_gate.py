@@ -29,8 +29,6 @@ HALF_A_REQUEST = b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Slow: a"
 
 
 class Held:
-    """Connections that a test holds, and lets go of."""
-
     def __init__(self) -> None:
         self.sockets: list[socket.socket] = []
 

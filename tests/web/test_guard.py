@@ -1,7 +1,5 @@
 """Who is refused: other names for this machine, other origins, no token, and paths that lead elsewhere."""
 
-from __future__ import annotations
-
 import sqlite3
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Pictures that cross the link, on the page: live and from `pc-ground record`; and pins shared by servers."""
 
-from __future__ import annotations
-
 import json
 import time
 import urllib.error
@@ -127,7 +125,6 @@ def test_the_page_shows_the_newest_picture_that_came_and_clicks_it_as_itself(
         wanted = {s.frame for s in craft.sets[1:]}
 
         def rows() -> list[dict[str, Any]]:
-            """What the server has."""
             try:
                 with urllib.request.urlopen(f"{server.local}api/vehicles/{simulated.vehicle}/frames") as reported:
                     return list(json.load(reported))

@@ -1,7 +1,5 @@
 """A live aircraft as a page's source: what it publishes is there, is clicked, and grows old."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor

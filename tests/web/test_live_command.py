@@ -1,7 +1,5 @@
 """`pc-ground live`: one command next to a downlink and a telemetry radio, until a click is answered on the page."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal
@@ -28,8 +26,6 @@ TO_CLICK_S = 15.0  # of flight
 
 
 class Live(PageProgram):
-    """`pc-ground live`."""
-
     def __init__(self, home: Path, *arguments: object) -> None:
         super().__init__("live", *arguments, "--no-browser", "--port", "0", home=home)
 

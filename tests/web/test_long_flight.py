@@ -1,7 +1,5 @@
 """An hour of flight before an open page, in fast motion; and as many tablets as a search has."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 from collections.abc import Iterator
@@ -29,7 +27,6 @@ TABLETS = 50
 
 @pytest.fixture
 def flight(tmp_path: Path) -> Iterator[Flight]:
-    """Its first picture has come."""
     page_is_built()
     with Flight(tmp_path / "pins.sqlite") as made:
         yield made

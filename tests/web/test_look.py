@@ -1,7 +1,5 @@
 """Having a camera look at what was clicked, on the page and behind it: a role of its own, confirmed, ended, refused."""
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import json

@@ -1,7 +1,5 @@
 """A click on the page that the aircraft measures: answered at once, replaced in place, or kept with the reason."""
 
-from __future__ import annotations
-
 import json
 import threading
 import time
@@ -47,7 +45,6 @@ SPOT = (320.0, 200.0)
 
 
 def with_pixel(s: FeatureSet, uv: tuple[float, float], measured: Measured) -> FeatureSet:
-    """The answer of an aircraft."""
     if measured is not Measured.MEASURED:
         return replace(s, clicked=ClickedPixel(*uv, measured))
     x, y, _ = s.camera.unproject(np.array(uv))[0]
@@ -78,7 +75,6 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Flight]:
 
 @pytest.fixture
 def flight(server: Flight) -> Iterator[Flight]:
-    """The server without pins."""
     yield server
     server.source.measure = not_measured
     server.store.clear()

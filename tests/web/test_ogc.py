@@ -1,7 +1,5 @@
 """The pins by OGC API - Features: as the standard has it, request by request; and read by another's client, GDAL's."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """`pc-ground open`: a pilot's own flight in one command, until its first click is answered in a real browser."""
 
-from __future__ import annotations
-
 import argparse
 import csv
 import json
@@ -29,13 +27,10 @@ LIMIT_S = 60.0  # of processor time, from the command to the page
 
 
 class Opened(PageProgram):
-    """`pc-ground open`."""
-
     def __init__(self, home: Path, *arguments: object) -> None:
         super().__init__("open", *arguments, "--no-browser", "--port", "0", home=home)
 
     def close(self) -> None:
-        """As Ctrl-C does."""
         if self.process.poll() is None:
             self.end()
 

@@ -1,7 +1,5 @@
 """What an operator sees and does beyond a first click: ages, the place under the cursor, stray clicks, phones."""
 
-from __future__ import annotations
-
 import itertools
 import re
 from collections.abc import Callable, Iterator
@@ -66,7 +64,6 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Flight]:
 
 @pytest.fixture(scope="module")
 def screen(fleet: Flight, chromium: Any) -> Iterator[Any]:
-    """A page on it."""
     page = opened(chromium, fleet.url)
     yield page
     page.context.close()

@@ -1,7 +1,5 @@
 """The page in a real Chromium, on a replayed flight, as an operator uses it."""
 
-from __future__ import annotations
-
 import signal
 from collections.abc import Callable
 from typing import Any

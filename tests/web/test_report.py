@@ -1,7 +1,5 @@
 """The report of a search: one file that another machine shows without a network."""
 
-from __future__ import annotations
-
 import re
 import xml.etree.ElementTree as ET
 from pathlib import Path

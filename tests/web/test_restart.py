@@ -1,7 +1,5 @@
 """A server that is started in flight knows what was before: from its own disk, and from the aircraft's memory."""
 
-from __future__ import annotations
-
 import os
 import time
 from dataclasses import replace

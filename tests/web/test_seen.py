@@ -1,7 +1,5 @@
 """What has been seen, on the page and behind it: the layer, its tiles, and the pictures that show a place."""
 
-from __future__ import annotations
-
 import dataclasses
 import io
 import time
@@ -36,7 +34,6 @@ def tile_at(lat: float, lon: float) -> tuple[int, int, int, int]:
 
 
 def pixel(seen: SeenGround, east_m: float, north_m: float, by: str, now_s: float) -> tuple[int, ...]:
-    """Colour and opacity that the layer has at a place."""
     lat, lon, _ = (float(c) for c in PLACE.to_geodetic((east_m, north_m, 0.0)))
     x, y, u, v = tile_at(lat, lon)
     image = Image.open(io.BytesIO(seen_tile(seen, ZOOM, x, y, by, now_s))).convert("RGBA")

@@ -1,7 +1,5 @@
 """Where drawing the map takes long, the map rests: what is clicked is the picture."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

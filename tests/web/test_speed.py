@@ -1,7 +1,5 @@
 """How long an operator waits. Bounds are some times the goals: `python -m benchmarks.web` measures those."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -19,7 +17,6 @@ TRIES = 3  # at most: the machine may have other work in one of them
 
 @pytest.fixture(scope="module")
 def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
-    """On a simulated flight, with ten thousand pins."""
     page_is_built()
     folder = tmp_path_factory.mktemp("speed")
     record_rendered(folder / "drawn.mcap")
@@ -31,7 +28,6 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
 
 @pytest.fixture
 def bare_server(tmp_path: Path) -> Iterator[Server]:
-    """The same without pins."""
     record_rendered(tmp_path / "drawn.mcap")
     running = Server("--from", tmp_path / "drawn.mcap", "--pins", tmp_path / "pins.sqlite")
     yield running

@@ -1,7 +1,5 @@
 """A machine's finds on the page: listed, alarmed, confirmed to pins, dismissed; and behind it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Downloading an area of the base map from a tile server of this test: counted, bounded, ended, and used afterwards."""
 
-from __future__ import annotations
-
 import contextlib
 import gzip
 import io

@@ -1,7 +1,5 @@
 """Things that are followed, on the page and behind it: asked for, drawn, ended; viewers only look."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Callable, Iterator
@@ -201,15 +199,12 @@ def test_a_live_aircraft_is_asked_and_what_it_reports_is_kept_through_a_restart(
 
 
 def fly(operator: Operator, flight: Flight, frame: int, *reports: TrackReport) -> None:
-    """The next picture comes, and these reports."""
     flight.source.views.tracks.add(reports)
     flight.source.fly_to(frame + 1)
     operator.wait_for_frame(frame)
 
 
 def is_boxed(operator: Operator, key: str, u: float, v: float, within_px: float = 2.0) -> bool:
-    """Whether a thing's box comes to be about a pixel of the picture."""
-
     def is_there() -> bool:
         boxes = operator.page.locator(f'[data-testid=track-box][data-track="{key}"]').all()
         box = boxes[0].bounding_box() if boxes else None

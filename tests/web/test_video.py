@@ -1,7 +1,5 @@
 """A video of the downlink as the pictures of the sets: the delay is found, the right frame is given, or none is."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What browsers are sent as it happens: nothing that fails ends it; concurrent changes of a pin do not swap places."""
 
-from __future__ import annotations
-
 import json
 import logging
 import threading

@@ -125,7 +125,6 @@ def test_another_choice_of_sectors_is_computed_and_a_sector_without_a_cell_is_re
 
 
 def wait_for_numbers(anna: Operator, text: str) -> None:
-    """Wait until the numbers hold a text."""
     numbers = "document.querySelector('[data-testid=seen-numbers]').textContent"
     anna.page.wait_for_function(f"text => {numbers}.includes(text)", arg=text)
 

@@ -1,7 +1,5 @@
 """Base maps as their users make them: small MBTiles and PMTiles files of one rendered tile, over the whole earth."""
 
-from __future__ import annotations
-
 import io
 import json
 import sqlite3

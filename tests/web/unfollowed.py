@@ -1,7 +1,5 @@
 """What a test's source has of tracks and hot spots where none takes part: none, and no one follows."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from contract.errors import LinkError
@@ -20,21 +18,16 @@ class Unfollowed:
     views = Views()
 
     def measured(self, feature_set: FeatureSet, uv_px: tuple[float, float]) -> FeatureSet:
-        """No one does."""
         raise LinkError(NOT_TRIED)
 
     def unfollowed(self, vehicle: str) -> str:
-        """No one does."""
         return f"aircraft {vehicle!r} does not answer"
 
     def follow(self, vehicle: str, request: TrackRequest) -> dict[str, object]:
-        """No one does."""
         raise LinkError(self.unfollowed(vehicle))
 
     def unlooked(self, vehicle: str) -> str:
-        """No one does."""
         return self.unfollowed(vehicle)
 
     def look(self, vehicle: str, request: LookRequest) -> dict[str, Any]:
-        """No one does."""
         raise LinkError(self.unlooked(vehicle))

@@ -1,7 +1,5 @@
 """A simulated flight over rendered ground: its pictures as a video, and its sets with features at corners."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import replace
 from functools import lru_cache
@@ -60,7 +58,6 @@ def time_of(frame: int) -> float:
 
 @lru_cache(maxsize=500)
 def flight_set(frame: int) -> FeatureSet:
-    """The set of one picture: features at its strongest corners, as a tracker finds them."""
     found = cv2.goodFeaturesToTrack(picture_at(time_of(frame)), 120, 0.005, 12.0)
     assert found is not None and len(found) == 120
     made = rendered_set(0)

@@ -15,7 +15,6 @@ from tests.bench.v4l2 import Output
 
 
 def main() -> None:
-    """Play to the end."""
     device, description, first_ns = sys.argv[1], Path(sys.argv[2]), int(sys.argv[3])
     flight = json.loads(description.read_text())
     width_px, height_px = flight["size_px"]

@@ -22,7 +22,6 @@ def folder() -> Path:
 
 
 def say(text: str) -> None:
-    """One line of progress with the seconds since the start."""
     print(f"[bench {time.monotonic() - _started_s:5.0f} s] {text}", flush=True)
 
 

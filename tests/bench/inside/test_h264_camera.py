@@ -24,7 +24,6 @@ ENCODER = Path(__file__).parents[2] / "access_units.py"
 SIZE_PX, RATE_HZ, COUNT = (320, 240), 30, 150
 STEP_NS = 10**9 // RATE_HZ
 HANDED_OVER_NS = 12_000_000  # after the stamp
-MICROSECOND_MS = 1e-3
 
 
 @pytest.fixture(scope="module")

@@ -47,7 +47,6 @@ class Watched:
         return time.monotonic() - began_s
 
     def wait_pictures(self, count: int, within_s: float = 10.0) -> float:
-        """Until so many more have come."""
         wanted = len(self.frames) + count
         return self.wait(lambda: len(self.frames) >= wanted, within_s)
 
@@ -74,7 +73,6 @@ def watched(**config: Any) -> Iterator[Watched]:
 
 
 def picture(number: int) -> NDArray[np.uint8]:
-    """Blocks that a JPEG keeps, moving with the number."""
     coarse = np.random.default_rng(7).integers(20, 236, (HEIGHT_PX // 8, WIDTH_PX // 8), dtype=np.uint8)
     return np.kron(np.roll(coarse, number, axis=1), np.ones((8, 8), np.uint8))
 

@@ -24,7 +24,6 @@ HERE = Path(__file__).parent
 
 
 def cases() -> dict[str, FeatureSet]:
-    """The sets behind the files."""
     plain = plain_set(12, seed=1)
     ideal = dataclasses.replace(plain.camera, distortion=(0.0,) * 5)
     return {

@@ -25,7 +25,6 @@ def issue(folder: Path) -> Path:
 
 
 def to(keys: Path, port: int, certificate: Path | None = None) -> list[str]:
-    """The arguments of `pc-ground cot`, with the ground's certificate unless it is another."""
     ours = keys / "ground"
     shown = certificate or ours
     return [
@@ -74,7 +73,6 @@ class Server:
         self._thread.start()
 
     def stop(self) -> None:
-        """If it runs."""
         if self._listener is None:
             return
         self._going.set()
@@ -85,11 +83,9 @@ class Server:
 
     @property
     def events(self) -> list[ET.Element]:
-        """The events that have been received whole."""
         return [ET.fromstring(text + b"</event>") for one in self._received for text in one.split(b"</event>")[:-1]]
 
     def has(self, count: int) -> bool:
-        """Return whether so many events are there, or come."""
         return eventually(lambda: sum(one.count(b"</event>") for one in self._received) >= count)
 
     def _serve(self, listener: socket.socket) -> None:

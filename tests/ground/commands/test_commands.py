@@ -234,8 +234,6 @@ def test_a_tie_on_the_command_line(session: str, pins: str, capsys: pytest.Captu
 
 
 class Listener:
-    """Takes what one TCP or UDP client sends."""
-
     def __init__(self, kind: str) -> None:
         self.data = b""
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM if kind == "udp" else socket.SOCK_STREAM)
@@ -262,7 +260,6 @@ class Listener:
                 self.data += self._socket.recv(65536) + b"\n"
 
     def lines(self) -> list[bytes]:
-        """Once the client has ended."""
         self._take()
         self._socket.close()
         return self.data.splitlines()

@@ -35,7 +35,6 @@ def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def store(tmp_path: Path) -> Iterator[PinStore]:
-    """Others' connection to the file of pins."""
     with PinStore(tmp_path / "pins") as made:
         yield made
 

@@ -37,8 +37,6 @@ SETS = [
 
 
 class Link(str):
-    """Its endpoint, and the aircraft's session."""
-
     session: zenoh.Session
 
 

@@ -3,8 +3,6 @@
 Recordings, files and wrong usage: their transcripts.
 """
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """`pc-ground look`: what is asked, confirmed and printed; with an aircraft that answers and an autopilot of words."""
 
-from __future__ import annotations
-
 import dataclasses
 import os
 import sys

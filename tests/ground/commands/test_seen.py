@@ -1,7 +1,5 @@
 """`pc-ground seen` as its user calls it."""
 
-from __future__ import annotations
-
 import json
 import xml.etree.ElementTree as ET
 from pathlib import Path

@@ -43,7 +43,6 @@ def reports() -> list[SpotReport]:
 
 
 def recorded(folder: Path) -> Path:
-    """As `pc-ground record` keeps it."""
     there = replace(plain_set(5), vehicle="uav-1", capture_unix_ns=START_NS)
     with LinkRecorder(folder) as recorder:
         recorder.take(FEATURES.key("uav-1"), encode(there))

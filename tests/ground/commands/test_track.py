@@ -1,7 +1,5 @@
 """`pc-ground track`, CoT and files of paths: what is printed and written of followed things."""
 
-from __future__ import annotations
-
 import json
 import threading
 import xml.etree.ElementTree as ET

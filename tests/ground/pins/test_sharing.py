@@ -33,8 +33,6 @@ LIAR = "0123456789abcdef"
 
 
 class Clock:
-    """Of a store; whoever writes sets it."""
-
     def __init__(self) -> None:
         self.now_ns = NOW_NS
 

@@ -161,7 +161,6 @@ def removed(store: PinStore) -> list[Pin]:
 
 
 def merge(store: PinStore, pin: Pin) -> bool:
-    """Whether another server's pin changes anything here."""
     changed, refused = store.merge_all([pin], most=10)
     assert not refused
     return bool(changed)

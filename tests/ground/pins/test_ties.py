@@ -19,7 +19,6 @@ LANDMARK = np.array([-60.0, 45.0, 3.0])
 
 
 def tied(click: PinClick, place_enu_m: Array, rng: np.random.Generator | None, sigma_m: float = 0.3) -> Tie:
-    """A tie whose survey errs as it says."""
     error = np.zeros(3) if rng is None else sigma_m * rng.normal(size=3)
     lat, lon, height = (float(v) for v in ORIGIN.to_geodetic(place_enu_m + error))
     return Tie(click, lat, lon, height, "ellipsoid", sigma_m, sigma_m)

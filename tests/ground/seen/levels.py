@@ -1,7 +1,5 @@
 """Pictures of a camera that looks down at level ground, and how sure each is of where it is."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

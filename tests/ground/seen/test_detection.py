@@ -1,7 +1,5 @@
 """Who would have been found: what looks, passes, aircraft, distance and trees make of it; and what was not searched."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -21,7 +19,6 @@ RING_M = np.array([(-15.0, -15.0), (15.0, -15.0), (15.0, 15.0), (-15.0, 15.0)]) 
 
 
 def report_of(s: FeatureSet, share: float | None, late_ns: int = 0) -> SpotReport:
-    """The same share of people named in all parts of a picture."""
     named = () if share is None else (share,) * int(np.prod(PERSON_GRID))
     return SpotReport(
         s.session, s.frame, s.capture_unix_ns + late_ns, True, vehicle=s.vehicle, person_found=share, person_named=named

@@ -1,7 +1,5 @@
 """Outlines go around the marked cells and nothing else."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

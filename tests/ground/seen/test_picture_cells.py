@@ -1,7 +1,5 @@
 """What one picture counts as seen: all of what is surely in view, and nothing else."""
 
-from __future__ import annotations
-
 import dataclasses
 from statistics import NormalDist
 
@@ -31,7 +29,6 @@ def sides_m(found: PictureCells) -> tuple[float, float]:
 
 
 def middles(found: PictureCells) -> NDArray[np.float64]:
-    """East and north of PLACE."""
     lat, lon = CELLS.lat_deg(found.row + 0.5), CELLS.lon_deg(found.column + 0.5)
     return np.asarray(PLACE.to_enu(lat, lon, 0.0)[:, :2])
 

@@ -1,7 +1,5 @@
 """The map of what was seen: every picture once, at its latest revision, in bounded memory; and who saw a place."""
 
-from __future__ import annotations
-
 import dataclasses
 import sys
 from pathlib import Path
@@ -24,7 +22,6 @@ MIDDLE = PLACE.lat_deg, PLACE.lon_deg
 
 
 def counts(seen: SeenGround) -> int:
-    """Of all cells together."""
     return sum(int(tile["count"].sum()) for _, tile in seen.all_tiles())
 
 

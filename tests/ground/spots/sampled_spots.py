@@ -20,20 +20,17 @@ ROOT_CHI2 = math.sqrt(-2.0 * math.log(0.1))
 
 
 def covariance(major_m: float, minor_m: float, azimuth_deg: float) -> Array:
-    """(2, 2) east, north, of sigmas along and across an azimuth."""
     a = math.radians(azimuth_deg)
     along, across = np.array([math.sin(a), math.cos(a)]), np.array([math.cos(a), -math.sin(a)])
     return major_m**2 * np.outer(along, along) + minor_m**2 * np.outer(across, across)
 
 
 def place_at(east_m: float, north_m: float, cov: Array, height_m: float = 20.0) -> Place:
-    """With the ellipse of a covariance."""
     lat, lon, _ = (float(c) for c in HOME.to_geodetic((east_m, north_m, 0.0)))
     return Place(lat, lon, height_m, height_m + 10.0, Ellipse.from_covariance(cov), 2.0)
 
 
 def spot_at(east_m: float, north_m: float, cov: Array, **more: object) -> Spot:
-    """A person's."""
     words = {"contrast": 12.0, "temperature_c": 31.0, "above_ground_k": 8.0, "area_m2": 0.4, "sigma_area_m2": 0.1}
     return Spot(320.0, 240.0, status=Status.OK, place=place_at(east_m, north_m, cov), **{**words, **more})
 
@@ -52,7 +49,6 @@ class Flight:
     begin_s: float = 0.0
 
     def reports(self, things: Callable[[float], Sequence[Sequence[float]]], pictures: int) -> Iterator[SpotReport]:
-        """As the aircraft would send them."""
         values, vectors = np.linalg.eigh(self.cov)
         root = vectors * np.sqrt(values) @ vectors.T
         common, slow = self.rng.normal(size=2), self.rng.normal(size=2)
@@ -73,13 +69,11 @@ class Flight:
 
 
 def offset_m(place: Place, true: Sequence[float]) -> Array:
-    """(2,) east, north, of a place from where it is said to be."""
     east, north, _ = HOME.to_enu(place.lat_deg, place.lon_deg, 0.0)
     return np.array([float(east), float(north)]) - np.asarray(true, float)
 
 
 def is_inside(place: Place, true: Sequence[float]) -> bool:
-    """Whether the truth is in the 90 % ellipse."""
     e = place.ellipse
     inverse = np.linalg.inv(covariance(e.semi_major_m / ROOT_CHI2, e.semi_minor_m / ROOT_CHI2, e.azimuth_deg))
     away = offset_m(place, true)

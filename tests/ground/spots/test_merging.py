@@ -39,7 +39,6 @@ def standing(*places: tuple[float, float]) -> Things:
 
 
 def walking(t: float) -> list[tuple[float, float]]:
-    """1.4 m/s to the east."""
     return [(1.4 * t, 0.0)]
 
 

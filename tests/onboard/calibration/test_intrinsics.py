@@ -56,7 +56,6 @@ def photographs(board: Board) -> list[NDArray[np.uint8]]:
 
 
 def photograph(board: Board, count: int, folder: Path) -> None:
-    """Save the first `count` of the board's photographs."""
     for number, picture in enumerate(photographs(board)[:count]):
         Image.fromarray(picture).save(folder / f"{number:02d}.png", compress_level=1)
 

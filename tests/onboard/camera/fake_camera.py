@@ -104,8 +104,6 @@ class World:
 
 
 class FakeDevice:
-    """One open device."""
-
     def __init__(self, world: World, path: str, camera: Plugged) -> None:
         self.world, self.path, self.camera = world, path, camera
         self.sequence = 0

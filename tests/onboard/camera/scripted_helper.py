@@ -6,8 +6,6 @@ Each start takes the next list of acts, separated by `then`; the last list serve
 sender's clock with that origin. `@NAME` in the place of a number: until there is a file of that name next to STARTS.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
@@ -22,8 +20,6 @@ PERIOD_S = 1.0 / 30.0
 
 
 class Writer:
-    """Writes frames of noise at 30 Hz."""
-
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.size, self.number, self.back_ns, self.epoch_s = (64, 48), 0, 0, None
@@ -43,7 +39,6 @@ class Writer:
         return encode(header, os.urandom(width * height) if luma is None else luma)
 
     def while_not(self, name: str) -> Iterator[None]:
-        """Until the file is there."""
         while not (self.folder / name[1:]).exists():
             yield
 

@@ -1,7 +1,5 @@
 """The decoder of a camera's stream cannot open keys, state and recordings, nor look into the daemon."""
 
-from __future__ import annotations
-
 import os
 import socket
 import subprocess
@@ -50,7 +48,6 @@ def in_a_box(closed: list[Path | str], *command: object) -> subprocess.Completed
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """A key in a folder with other files, and a folder of state."""
     for name in ("keys/link.key", "keys/video.mp4", "state/estimate.json", "state/recordings/a.mcap", "free.mp4"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text("x")

@@ -1,7 +1,5 @@
 """Controls: automatic modes off first, values on the driver's steps, everything read back, everything missing said."""
 
-from __future__ import annotations
-
 import errno
 
 import pytest

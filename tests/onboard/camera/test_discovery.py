@@ -1,7 +1,5 @@
 """Which device is which, from /dev and /sys."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from onboard.__main__ import main
@@ -13,7 +11,6 @@ CARD = Card("uvcvideo", "Cam", "usb-1", True)
 
 
 def house(folder: Path) -> tuple[Path, Path]:
-    """A /dev and a /sys with two nodes of one camera and a second camera."""
     dev, sys = folder / "dev", folder / "sys"
     for kind in ("by-id", "by-path"):
         (dev / "v4l" / kind).mkdir(parents=True)

@@ -1,7 +1,5 @@
 """Frames in a pipe: what was written is read, and what is none never becomes a picture."""
 
-from __future__ import annotations
-
 import math
 import struct
 import zlib
@@ -113,7 +111,6 @@ def test_garbage_alone_is_nothing_and_is_not_kept(data: bytes, piece: int) -> No
 
 
 def changed(offset: int, fmt: str, value: object) -> bytes:
-    """A header with the right checksum and one field that cannot be."""
     data = bytearray(encode(Header(8, 4, 1, 1), bytes(32))[:124])
     struct.pack_into(fmt, data, offset, value)
     return bytes(data) + struct.pack("<I", zlib.crc32(data))

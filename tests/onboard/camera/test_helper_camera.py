@@ -1,7 +1,5 @@
 """A camera behind a helper program: whatever the helper does is reported in time, and pictures come again after it."""
 
-from __future__ import annotations
-
 import os
 import shlex
 import signal
@@ -37,8 +35,6 @@ SHARED_MEMORY = "/dev/shm/"
 
 
 class Running:
-    """A camera in a thread of its own, and what came of it."""
-
     def __init__(
         self,
         device: str,
@@ -80,7 +76,6 @@ class Running:
         return found[-1]
 
     def wait_for_pictures(self, count: int, within_s: float = PATIENCE_S, image: bool = True) -> None:
-        """So many more, with an image."""
         before = len(self.frames)
 
         def are_there() -> bool:
@@ -116,7 +111,6 @@ def running(
 
 
 def tell(folder: Path, name: str) -> None:
-    """Lets a scripted helper go on that waits for this."""
     (folder / name).touch()
 
 
@@ -130,7 +124,6 @@ def in_checkout(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def members(group: int) -> list[list[str]]:
-    """Number, group, state and command of each process of a group that still runs."""
     columns = ["-o", "pid=", "-o", "pgid=", "-o", "stat=", "-o", "args="]
     listed = subprocess.run(["ps", "-eww", *columns], capture_output=True, text=True, check=True).stdout
     rows = [line.split(None, 3) for line in listed.splitlines()]

@@ -1,7 +1,5 @@
 """What photographs of several makers say of themselves, each as its maker writes it (numbers made up)."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Raw pictures become frames: times, gaps, repeats, damage."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

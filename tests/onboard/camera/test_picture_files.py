@@ -1,7 +1,5 @@
 """Pictures and videos: capture times from every source, sizes, and bad input in one line."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -20,7 +18,6 @@ from onboard.camera.picture_files import open_frames
 from onboard.camera.pixel_formats import reduce_16_bit
 
 CAMERA = Camera.from_field_of_view(64, 48, 40.0)
-MOMENT = datetime(2018, 8, 5, 1, 0, 52, tzinfo=UTC)
 UNIX_S = 1533430852
 
 

@@ -1,7 +1,5 @@
 """Pixel formats -> grey."""
 
-from __future__ import annotations
-
 import io
 
 import numpy as np
@@ -20,7 +18,6 @@ SMOOTH = np.add.outer(np.arange(HEIGHT), np.arange(WIDTH)).astype(np.uint8)
 
 
 def padded(lines: NDArray[np.uint8], stride: int) -> bytearray:
-    """Lines with rubbish up to their stride."""
     full = RNG.integers(0, 255, (lines.shape[0], stride), np.uint8)
     full[:, : lines.shape[1]] = lines
     return bytearray(full.tobytes())

@@ -1,7 +1,5 @@
 """A camera that is a folder: pictures when they are due, and lost when they are over."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Of a thermal camera's R-JPEG the counts are the picture, whatever palette shows it; damaged ones are refused."""
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
 
@@ -31,7 +29,6 @@ FORMS = ("png, bytes swapped", "png", "plain", "plain, least byte first")
 
 
 def ground(number: int = 0) -> Counts:
-    """Counts (H, W) of some warm ground with structure."""
     rows, columns = np.indices((HEIGHT, WIDTH))
     rng = np.random.default_rng(number)
     warm = 300.0 * np.sin((columns + 5 * number) / 17.0) * np.cos(rows / 11.0) + 8.0 * rng.standard_normal(rows.shape)

@@ -1,7 +1,5 @@
 """Stamps of a sender's clock -> ours: jitter gone, the least delay kept, drift followed, steps survived."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """Stamps that begin to mean something else are seen by when pictures arrive; a slow host is not taken for that."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

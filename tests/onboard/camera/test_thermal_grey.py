@@ -1,7 +1,5 @@
 """Counts to the grey that is tracked: spread steadily, the sensor's own pattern off, a shutter event waited out."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest
@@ -14,7 +12,6 @@ GROUND_K *= 0.8 / GROUND_K.std()
 
 
 def ground(step: int, step_px: int = 7) -> np.ndarray:
-    """Temperature (H, W) of ground that goes by."""
     at = 5 + step * step_px
     return GROUND_K[at : at + SIZE[0], at : at + SIZE[1]] + 288.0
 

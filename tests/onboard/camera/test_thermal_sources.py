@@ -1,7 +1,5 @@
 """A thermal camera's counts, from every source to `Frame.counts`, untouched; and what is said of their scale."""
 
-from __future__ import annotations
-
 import shlex
 import sys
 from pathlib import Path
@@ -36,7 +34,6 @@ MS = 1_000_000
 
 
 def kelvin(number: int) -> np.ndarray:
-    """(H, W) of ground that goes by."""
     rows, columns = np.indices((HEIGHT, WIDTH))
     rng = np.random.default_rng(number)
     return 290.0 + np.sin((columns + 3 * number) / 5.0) + np.cos(rows / 4.0) + 0.05 * rng.standard_normal(rows.shape)

@@ -1,7 +1,5 @@
 """The live camera's loss, return and refusal, on a fake device. The same on real drivers: tests/bench/inside."""
 
-from __future__ import annotations
-
 import errno
 from collections.abc import Callable
 from dataclasses import replace
@@ -54,7 +52,6 @@ def run(camera: V4l2Camera, world: World, ends_s: float = 5.0) -> dict[float, So
 
 
 def at(seen: dict[float, SourceStatus], at_s: float) -> SourceStatus:
-    """The camera's health at a time."""
     return seen[max(known_s for known_s in seen if known_s <= at_s)]
 
 
@@ -246,7 +243,6 @@ def test_a_frozen_camera_says_so_and_hands_out_no_old_picture() -> None:
 
 
 def changes(seen: dict[float, SourceStatus]) -> list[tuple[State, str]]:
-    """State and reason whenever either changes."""
     out: list[tuple[State, str]] = []
     for _, health in sorted(seen.items()):
         if not out or out[-1] != (health.state, health.detail):

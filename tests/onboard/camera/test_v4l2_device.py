@@ -3,8 +3,6 @@
 No structure of ours is used on the driver's side. The same with real drivers: tests/bench/inside.
 """
 
-from __future__ import annotations
-
 import errno
 import mmap
 import struct

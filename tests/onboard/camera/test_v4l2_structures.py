@@ -1,7 +1,5 @@
 """Structures, request numbers and constants of V4L2 are the kernel's: against known sizes, and against the C header."""
 
-from __future__ import annotations
-
 import ctypes
 import shutil
 import subprocess
@@ -52,7 +50,6 @@ def structures() -> dict[str, type[ctypes.Structure]]:
 
 
 def constants() -> dict[str, int]:
-    """Every constant by its name in C, requests too."""
     numbers = {
         name: value
         for name, value in vars(v4l2).items()
@@ -63,7 +60,6 @@ def constants() -> dict[str, int]:
 
 
 def types_of(kind: type[ctypes.Structure | ctypes.Union]) -> dict[str, type]:
-    """The type of every field, those of anonymous unions among them."""
     plain = {field[0]: field[1] for field in kind._fields_}
     for name in getattr(kind, "_anonymous_", ()):
         plain |= types_of(plain.pop(name))
@@ -71,7 +67,6 @@ def types_of(kind: type[ctypes.Structure | ctypes.Union]) -> dict[str, type]:
 
 
 def offset_of(kind: type, path: list[str]) -> int:
-    """Bytes from the beginning of a structure to a field of a field."""
     total = 0
     for name in path:
         total += getattr(kind, name).offset
@@ -80,7 +75,6 @@ def offset_of(kind: type, path: list[str]) -> int:
 
 
 def expected() -> Iterator[tuple[str, int]]:
-    """C expressions and what they must be."""
     for c_name, kind in structures().items():
         yield f"sizeof(struct {c_name})", ctypes.sizeof(kind)
         for field in types_of(kind):

@@ -1,7 +1,5 @@
 """Videos whose frames are not evenly spaced: each frame at its container's own time."""
 
-from __future__ import annotations
-
 import itertools
 import struct
 from collections.abc import Callable
@@ -24,7 +22,6 @@ STTS = (b"moov", b"trak", b"mdia", b"minf", b"stbl", b"stts")
 
 
 def written(path: Path, fourcc: str = "mp4v") -> Path:
-    """Frames whose brightness counts them."""
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*fourcc), RATE_HZ, (64, 48))
     assert writer.isOpened()
     for i in range(COUNT):
@@ -91,8 +88,6 @@ def test_a_frame_that_the_decoder_leaves_out_moves_no_other(tmp_path: Path, monk
     whole_decoder = cv2.VideoCapture
 
     class Lossy:
-        """A decoder without the tenth frame."""
-
         def __init__(self, name: str) -> None:
             self._inner, self._calls = whole_decoder(name), itertools.count()
 

@@ -112,17 +112,10 @@ def sample(name: str) -> str:
     return (Path(__file__).parents[2] / "data" / "camera_files" / name).read_text(encoding="utf-8")
 
 
-OPENCV_FISHEYE = sample("fisheye.yml")
-COLMAP_FISHEYE = sample("fisheye.txt")
 ROS = sample("camera.yaml")
 OPENCV = sample("out_camera_data.yml")
 KALIBR = sample("camchain.yaml")
-METASHAPE = sample("calibration.xml")
 METASHAPE_FISHEYE = sample("fisheye-calibration.xml")
-PIX4D = sample("flight.cam")
-P4D = sample("flight.p4d")
-ODM = sample("cameras.json")
-COLMAP = sample("cameras.txt")
 FISHEYES = (
     Written("ros", "fisheye.yaml", fisheye),
     Written("opencv", "fisheye.yml", fisheye),

@@ -33,8 +33,6 @@ BUDGET = replace(WELL, budget=Budget(6.2, {"mount": 0.6, "gps": 0.21, "pixels": 
 
 @dataclass(frozen=True)
 class Case:
-    """The difference from a good flight."""
-
     what: str
     report: Report = WELL
     around: Surroundings = AROUND
@@ -42,7 +40,6 @@ class Case:
 
 
 def judged(**changed: object) -> Report:
-    """As the daemon judges other inputs."""
     return report_of(replace(WELL_INPUTS, **changed))
 
 

@@ -16,8 +16,6 @@ OPTICS = Camera.from_field_of_view(640, 480, 60.0)
 
 
 class Opened:
-    """A device node that opens."""
-
     def __init__(self, can_capture: bool) -> None:
         self.can_capture, self.is_closed = can_capture, False
 

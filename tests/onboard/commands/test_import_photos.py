@@ -46,7 +46,6 @@ SURVEY = PathSpec("survey", speed_m_s=9.0, height_m=120.0, wobble_deg=0.3, pitch
 
 @pytest.fixture(scope="module")
 def session() -> Path:
-    """A survey of two legs, a picture every 2.1 s."""
     return simulated(
         SessionSpec(
             DescribedSpec(SURVEY), seconds=PICTURES * APART_S, rate_hz=1 / APART_S, camera=CAMERA, clicks_per_frame=8

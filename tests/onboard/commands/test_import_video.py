@@ -43,7 +43,6 @@ BEGAN = datetime(2026, 6, 12, 10, 15, 23, tzinfo=UTC)
 
 
 def clip(path: Path, frames: int = 20, rate_hz: float = 10.0) -> Path:
-    """A video in which every frame is brighter than the one before, reddish."""
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), rate_hz, (64, 48))
     assert writer.isOpened()
     for index in range(frames):

@@ -24,7 +24,6 @@ NO_ANGLES = Style(angles=False, focal="equivalent")
 
 
 def of_survey() -> Path:
-    """The flight of test_import_photos."""
     spec = SessionSpec(
         DescribedSpec(SURVEY), seconds=PICTURES * APART_S, rate_hz=1 / APART_S, camera=CAMERA, clicks_per_frame=8
     )

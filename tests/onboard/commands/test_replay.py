@@ -34,8 +34,6 @@ START_S = float(np.genfromtxt(TRUTH, delimiter=",", skip_header=1)[0, 0])
 
 @dataclass
 class Recorder:
-    """A pipeline and a sink that remember what they were given."""
-
     events: list[Event] = field(default_factory=list)
     moments: list[int] = field(default_factory=list)
     sets: list[FeatureSet] = field(default_factory=list)

@@ -53,8 +53,6 @@ class Around:
 
 
 class Typed:
-    """A terminal at which these lines are typed; an exception among them is raised."""
-
     def __init__(self, *lines: str | BaseException) -> None:
         self.lines: Iterator[str | BaseException] = iter(lines)
         self.shown: list[str] = []

@@ -274,7 +274,6 @@ def test_a_state_file_from_before_delays_were_estimated_is_read_with_their_first
 
 
 def told(a: Alignment, start_s: float, offset_s: float, sigma_s: float = 0.01) -> bool:
-    """Offer a window of ten seconds that knows the time offset alone."""
     prior = a.prior_for(at(start_s))
     mean, covariance = prior.mean.copy(), prior.covariance.copy()
     mean[OFFSET], covariance[OFFSET, OFFSET] = offset_s, sigma_s**2

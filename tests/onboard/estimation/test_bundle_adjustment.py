@@ -21,7 +21,6 @@ Array = NDArray[np.float64]
 
 
 def residuals(problem: Problem, state: State) -> Array:
-    """Everything the cost squares, one after another, no loss."""
     xy = problem.xy.transpose(0, 2, 1)
     r, predicted, _ = reprojection(state.R_cam_enu, state.centres_enu_m, state.points_enu_m, xy)
     if problem.camera is not None:

@@ -126,8 +126,6 @@ def errors_of(name: str, problem: Problem, rng: np.random.Generator) -> Problem:
 
 @dataclass(frozen=True)
 class Bumps:
-    """A ground whose height differs under every point."""
-
     height_m: Array
 
     def height_and_slope(self, xy_enu_m: Array) -> tuple[Array, Array]:
@@ -141,7 +139,6 @@ def moved(was: State, now: State) -> Array:
 
 
 def gain_of(solved: Solved) -> Array:
-    """(9, D) of the same."""
     layout, last = solved.layout, solved.layout.keyframes - 1
     columns = [*range(6 * last, 6 * last + 6), *range(*layout.plane.indices(layout.size))]
     return np.asarray(np.eye(layout.size)[columns])

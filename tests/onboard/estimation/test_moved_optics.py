@@ -50,7 +50,6 @@ def zoomed(request: Request, log_scale: float, first: int = FROM) -> Request:
 
 
 def shifted(request: Request, seed: int) -> Request:
-    """Every frame shifted, 25 px rms."""
     K = len(request.keyframes)
     return seen_by_another_lens(request, np.zeros(K), np.random.default_rng(seed).normal(0.0, 18.0, (K, 2)))
 

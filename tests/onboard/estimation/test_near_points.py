@@ -35,7 +35,6 @@ def with_specks(scene: Scene) -> None:
 
 
 def nearest_speck_m(window: Window) -> float:
-    """The distance from the first camera to the nearest speck that was kept."""
     rows, kept = window.solved.rows(SPECKS)
     state = window.solved.solution.state
     return float(np.linalg.norm(state.points_enu_m[rows[kept]] - state.centres_enu_m[0], axis=1).min(initial=np.inf))

@@ -35,8 +35,6 @@ CHI2_7_90 = 12.017
 
 @dataclass
 class Watched:
-    """What a flight's windows said."""
-
     agreements: list[Agreement]
     factors: list[float]
     pairs: list[tuple[Solved, Solved]]

@@ -34,13 +34,11 @@ def vibrating(seed: int, swing_px: float) -> tuple[Problem, Sweep, Array]:
 
 
 def with_waves(problem: Problem) -> Problem:
-    """The same with their states."""
     layout = problem.layout.with_block(WAVES)
     return replace(problem, layout=layout, priors=[replace(p, layout=layout) for p in problem.priors])
 
 
 def solved(seed: int, problem: Problem) -> Solution:
-    """From a rough start."""
     drawn, _, _ = scene(seed)
     start = first_guess(drawn, drawn.truth.R_cam_enu, drawn.truth.centres_enu_m)
     start = replace(start, own=np.zeros(problem.layout.by_picture.shape))

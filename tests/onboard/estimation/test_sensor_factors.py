@@ -237,7 +237,6 @@ def test_ground_not_reported_to_be_level_may_slope_and_terrain_may_not(scene: Sc
 
 
 def heading_sigma_deg(keyframes: list[Keyframe], config: Config = FULL) -> float:
-    """One sigma of the last keyframe's measured heading."""
     prior = priors_of(config, keyframes)[AttitudePrior]
     assert isinstance(prior, AttitudePrior)
     whitener = prior.whitener[2]

@@ -36,7 +36,6 @@ HALF = np.repeat([0.0, 1.0], K // 2)
 
 
 def covariance_of(group: str, n: int) -> Array:
-    """Of a group's errors on one axis."""
     slow = gauss_markov_covariance(STAMPS_S[:n], SIGMA[group], 20.0 if group != POSITION else 60.0)
     return slow + (0.2 * SIGMA[group]) ** 2 * np.eye(n)
 

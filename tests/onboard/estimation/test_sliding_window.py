@@ -164,7 +164,6 @@ def test_a_solution_survives_a_solve_that_fails() -> None:
 
 
 def subset(scene: Scene, k: int, ids: NDArray[np.int64]) -> None:
-    """Picture k sees nothing but these."""
     seen = scene.observations[k]
     kept = np.isin(seen.ids, ids)
     scene.observations[k] = observation(CAMERA, seen.ids[kept], seen.uv_px[kept])

@@ -118,7 +118,6 @@ def test_recorded_shots_find_it_where_motion_does_not_though_some_are_lost(lost:
 
 
 def still(known: Evidence) -> Evidence:
-    """The same without any motion, as over water."""
     none = known.pairs
     return replace(known, pairs=Pairs(none.moments_ns[:0], none.at[:0], none.to[:0]))
 

@@ -79,7 +79,6 @@ def test_rays_at_the_sky_from_below_or_off_the_map_meet_nothing() -> None:
 
 
 def slope_amsl(lat: np.ndarray, lon: np.ndarray) -> np.ndarray:
-    """A smooth country to write into files."""
     return 100.0 + 4000.0 * (lat + 43.5) + 3000.0 * (lon - 172.5)
 
 

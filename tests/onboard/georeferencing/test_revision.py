@@ -29,7 +29,6 @@ SIZE_PX = (640, 480)
 
 @pytest.fixture(scope="module")
 def placed() -> Placed:
-    """A picture between two keyframes."""
     scene = draw(np.random.default_rng(3), FULL, SceneSpec())
     window = solved_window(scene)
     frame = int(scene.keys[len(scene.keys) // 2]) + 1
@@ -53,7 +52,6 @@ def reaches_m(solved: Solved) -> Array:
 
 
 def radius_m(solved: Solved) -> float:
-    """The smallest of the semi-major axes."""
     return float(reaches_m(solved)[0].min())
 
 

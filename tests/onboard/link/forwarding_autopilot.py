@@ -13,7 +13,6 @@ from tests.onboard.link.mavlink_router import Line, Router, Udp
 
 
 def main() -> int:
-    """Until SIGTERM."""
     ended = threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: ended.set())
     log, onboard, ground = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])

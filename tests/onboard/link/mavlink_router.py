@@ -4,8 +4,6 @@ Whoever is received on a link is reached there; a packet with a target goes to t
 others.
 """
 
-from __future__ import annotations
-
 import select
 import socket
 import threading

@@ -38,7 +38,6 @@ class Way(Generic[T]):
         self._order = itertools.count()
 
     def put(self, now_s: float, size: int, item: T) -> None:
-        """Forward a packet of so many bytes on the wire."""
         waiting = max(self._free_at_s - now_s, 0.0) * self.bit_rate / 8.0
         if waiting + size > self.buffer_bytes:
             self.dropped += 1
@@ -51,7 +50,6 @@ class Way(Generic[T]):
             heapq.heappush(self._under_way, (arrival_s, next(self._order), item))
 
     def put_own(self, now_s: float, size: int) -> None:
-        """A message of the autopilot's."""
         self.own_waits_s.append(max(self._free_at_s - now_s, 0.0))
         self._occupy(now_s, size)
 

@@ -13,7 +13,6 @@ _chance = random.SystemRandom()
 
 
 def free_port(kind: socket.SocketKind = socket.SOCK_STREAM) -> int:
-    """Of 127.0.0.1."""
     while True:
         port = _chance.randrange(FIRST, LAST)
         if port in _given:

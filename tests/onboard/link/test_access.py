@@ -65,7 +65,6 @@ def session(endpoint: str, tls: Tls | None, mode: str = "client") -> zenoh.Sessi
 
 
 def refused(open_it: Callable[[], object]) -> bool:
-    """Whether a session cannot even be opened."""
     try:
         open_it()
     except (zenoh.ZError, LinkError):
@@ -109,7 +108,6 @@ def test_plain_tcp_does_not_get_through_to_an_encrypted_link(place: Place) -> No
 
 
 def hears(cache: SetCache, place: Place) -> bool:
-    """Whether a set published now, or just before, was received."""
     place.publisher.publish(a_set(3))
     return cache.by_frame("uav-1", 3) is not None
 

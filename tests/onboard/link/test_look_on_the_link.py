@@ -1,7 +1,5 @@
 """Having the camera look somewhere over real zenoh sessions on loopback: who may, by certificates, and no one else."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -32,8 +30,6 @@ CLICK = AskLook(7, 3, 10.0, 20.0, -35.1, 149.2, 3.0)
 
 @dataclass
 class Noting:
-    """The aircraft's side, which notes who asked what."""
-
     asked: list[tuple[str, str]] = field(default_factory=list)
 
     def look(self, who: str, parameters: str, done: Callable[[bytes, bool], object]) -> None:
@@ -91,7 +87,6 @@ def test_whoever_is_named_asks_confirms_and_ends_in_his_own_name(place: Place) -
 
 
 def is_unheard(session: zenoh.Session, selector: str) -> bool:
-    """Whether a query is answered by no one."""
     try:
         return not list(session.get(selector, timeout=1.0, target=zenoh.QueryTarget.ALL))
     except zenoh.ZError:

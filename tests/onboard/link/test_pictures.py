@@ -61,7 +61,6 @@ class Taken:
 
 
 def fly(sender: PictureSender, numbers: range, keyframe_every: int = 5, delay: int = 2) -> None:
-    """As the pipeline does: each picture, and a little later its set."""
     for number in numbers:
         sender.event(0, a_frame(number))
         if number >= delay:

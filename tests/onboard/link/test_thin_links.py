@@ -76,7 +76,6 @@ def picture_age_s(cache: SetCache) -> float:
 
 
 def ages(cache: SetCache, seconds: float) -> list[float]:
-    """The newest picture's age, ten times a second."""
     found, stalls = [], Stalls()
     end = time.monotonic() + seconds
     while time.monotonic() < end:

@@ -1,7 +1,5 @@
 """Tracks over real zenoh sessions on loopback: asked for, refused, received; and who may ask, by certificates."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from pathlib import Path

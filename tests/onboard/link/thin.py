@@ -21,8 +21,6 @@ STREAM_HEADERS, DATAGRAM_HEADERS = 52, 28
 
 @dataclass
 class Way:
-    """One direction of one connection: what waits, and since when the line is free."""
-
     queue: deque[bytes] = field(default_factory=deque)
     free_at_s: float = 0.0
 

@@ -53,7 +53,6 @@ class Radio:
         return sum(left for left, _ in self._queue) if self.is_stream else 0.0
 
     def advance(self, now_s: float) -> None:
-        """Carry bytes until now; in a cut none."""
         could = (now_s - self._now_s) * self.bit_rate / 8.0
         self._now_s = now_s
         if self.is_cut(now_s):
@@ -157,7 +156,6 @@ class Delivered:
 
     @classmethod
     def of(cls, offers: list[tuple[float, Offer[str]]], sent: list[Sent], until_s: float) -> Delivered:
-        """Of the pictures whose first set was made before `until_s`: later ones may still be sent."""
         made: dict[int, float] = {}
         for at_s, offer in offers:
             made[offer.frame] = min(made.get(offer.frame, at_s), at_s)
@@ -171,5 +169,4 @@ class Delivered:
         )
 
     def wait_s(self, quantile: float) -> float:
-        """That quantile of the first waits."""
         return self.waits_s[round(quantile * (len(self.waits_s) - 1))]

@@ -88,7 +88,6 @@ class World:
         return np.clip(np.rint(110.0 + self.contrast * np.where(on, roof, ground) + noise), 0, 255).astype(np.uint8)
 
     def kept(self, number: int) -> Kept:
-        """A picture with its set."""
         return Kept(self.image(number), self.its_set(number))
 
     def its_set(self, number: int) -> FeatureSet:
@@ -137,5 +136,4 @@ def kept_image(world: World, number: int) -> NDArray[np.uint8]:
 
 
 def others(world: World) -> list[Kept]:
-    """All pictures but the clicked one."""
     return [world.kept(n) for n in range(2 * CLICKED + 1) if n != CLICKED]

@@ -33,7 +33,6 @@ def scene(seed: int, count: int = 70) -> tuple[Features, list[tuple[Array, Array
 
 
 def seen(features: Features, R: Array, centre_m: Array) -> Array:
-    """Pixels (N, 2) of features in a view."""
     return pixels(CAMERA, (features.rays - features.inverse_depth_per_m[:, None] * centre_m) @ R.T)
 
 

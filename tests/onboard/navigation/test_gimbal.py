@@ -27,7 +27,6 @@ def gimbal_from_nose(t: float) -> Array:
 
 
 def R_ned_cam(t: float) -> Array:
-    """Where the camera truly looks."""
     return matrix_from_euler(0.0, 0.0, heading(t)) @ gimbal_from_nose(t) @ mount_rotation(0.0, 0.0, 0.0)
 
 

@@ -39,7 +39,6 @@ def flown(attitudes: int = 1, spec: SampledSpec = SPEC, seed: int = 1) -> Pipeli
 
 
 def find(window: Window, offset_s: float) -> None:
-    """Have the newest window find this time offset."""
     window._times_s = offset_s, window.times_s()[1]
 
 

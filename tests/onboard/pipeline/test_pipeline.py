@@ -47,8 +47,6 @@ SPEC = SessionSpec(
 
 @dataclass(frozen=True, eq=False)
 class Session:
-    """What a replay would feed, in order of time."""
-
     truth: Truth
     config: str
     events: list[Event]
@@ -127,7 +125,6 @@ def sets(session: Session) -> list[FeatureSet]:
 
 
 def last(sets: list[FeatureSet]) -> dict[int, FeatureSet]:
-    """Each frame's newest revision."""
     return {s.frame: s for s in sets}
 
 
@@ -185,7 +182,6 @@ def at_once(brisk: Session) -> list[FeatureSet]:
 
 @cache
 def solved_at_once(session: Session) -> list[FeatureSet]:
-    """The same for all files that need it."""
     return session.run()
 
 

@@ -17,7 +17,6 @@ S = 1_000_000_000
 
 
 def window(moment_s: float, depth_m: float, up_m: float = 250.0, east_m: float = 0.0, slope: float = 0.0) -> Any:
-    """What of a solved window counts here: where the camera is, the points, and their plane."""
     points = np.array([[east_m, 0.0, up_m - depth_m + d] for d in (-3.0, 0.0, 4.0)])
     newest = SimpleNamespace(centre_enu_m=np.array([0.0, 0.0, up_m]), nav=SimpleNamespace(stamp_ns=round(moment_s * S)))
     solution = SimpleNamespace(state=SimpleNamespace(points_enu_m=points))

@@ -48,7 +48,6 @@ def test_a_lens_of_which_no_zoom_is_reported_is_left_alone(reports: list[tuple[f
 
 
 def moves(zoom: ZoomFollowing, first_s: float, last_s: float) -> bool:
-    """Whether pictures between two stamps are those that count as zoomed."""
     inside = all(zoom.is_moving(round(s * S)) for s in (first_s + 0.01, 0.5 * (first_s + last_s), last_s - 0.01))
     return inside and not any(zoom.is_moving(round(s * S)) for s in (first_s - 0.01, last_s + 0.01))
 

@@ -24,7 +24,7 @@ from onboard.config.schema import Config
 from onboard.events.session_clock import SessionClock
 from onboard.events.sink import Sink
 from onboard.events.source import Emit, Severity, SourceStatus, State, Stop
-from onboard.events.types import Event, Frame
+from onboard.events.types import Event
 from onboard.pipeline.pipeline import Pipeline
 from onboard.replay.runner import Flight
 from onboard.service.daemon import Daemon, Order
@@ -76,8 +76,6 @@ class FastClock(SessionClock):
 
 
 class Work:
-    """What the daemon has been given and has not done yet."""
-
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._left = 0
@@ -96,8 +94,6 @@ class Work:
 
 
 class CountingExecutor(ThreadPoolExecutor):
-    """One thread whose work is counted."""
-
     def __init__(self, work: Work) -> None:
         super().__init__(1)
         self._work = work
@@ -110,8 +106,6 @@ class CountingExecutor(ThreadPoolExecutor):
 
 
 class QueueOrders:
-    """Orders put by the test."""
-
     def __init__(self) -> None:
         self.queue: queue.Queue[Order] = queue.Queue()
         self.asked = 0  # turns of the daemon that began
@@ -157,8 +151,6 @@ class PlayedSource:
 
 
 class Received:
-    """A sink that keeps everything, in order."""
-
     def __init__(self, clock: FastClock) -> None:
         self._clock = clock
         self.events: list[Event] = []
@@ -193,11 +185,9 @@ class Air:
     recordings: list[Path] = field(default_factory=list)
 
     def state(self, at_s: float) -> str:
-        """The state last reported before a moment."""
         return [status.state for t, status in self.statuses if t <= at_s][-1]
 
     def states(self, begin_s: float, end_s: float) -> list[str]:
-        """Every state reported within a stretch, each once in order of appearance."""
         return list(dict.fromkeys(status.state for t, status in self.statuses if begin_s <= t <= end_s))
 
     def first(self, word: str, since_s: float) -> float:
@@ -213,7 +203,6 @@ class Air:
         return out
 
     def clicked(self, begin_s: float = -1e9, end_s: float = 1e9) -> Outcome:
-        """Every true click on the pictures of a stretch."""
         return click(self.folder, self.sets(begin_s, end_s), None)
 
 
@@ -312,8 +301,6 @@ def take_off(
 
 
 def counted(handle: Callable[[Event], list[FeatureSet]], work: Work) -> Callable[[Event], list[FeatureSet]]:
-    """A pipeline's `handle` that says when it is done."""
-
     def handled(event: Event) -> list[FeatureSet]:
         try:
             return handle(event)
@@ -321,7 +308,3 @@ def counted(handle: Callable[[Event], list[FeatureSet]], work: Work) -> Callable
             work.done()
 
     return handled
-
-
-def is_frame(event: Event) -> bool:
-    return isinstance(event, Frame)

@@ -3,8 +3,6 @@
 With the aircraft's end in the test's process: tests/ground/test_mavlink_link.py.
 """
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess

@@ -34,8 +34,6 @@ from tests.waiting import PATIENCE_S, eventually
 
 
 class Notes(Notifier):
-    """Keeps what would be told to systemd."""
-
     def __init__(self) -> None:
         super().__init__({"WATCHDOG_USEC": "1000000"})
         self.words: list[str] = []
@@ -78,8 +76,6 @@ class Steady:
 
 
 class Held(Pipeline):
-    """A pipeline that can be made to hang or to fail."""
-
     def __init__(self, config: Config) -> None:
         super().__init__(config, CAMERA)
         self.release = threading.Event()
@@ -161,7 +157,6 @@ class Rig:
         assert eventually(claim), (self.notes.words[-5:], self.states[-3:])
 
     def turn(self, times: int = 2) -> None:
-        """The daemon's loop goes round, at least once from its beginning."""
         begun = self.orders.asked
         self.wait_for(lambda: self.orders.asked >= begun + times)
 

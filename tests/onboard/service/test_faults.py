@@ -31,8 +31,6 @@ def is_on(t_s: float) -> bool:
 
 
 def on_pictures(change: object) -> Spoil:
-    """Pictures changed while the fault lasts."""
-
     def spoil(event: Event, t_s: float) -> Event | None:
         if isinstance(event, Frame) and is_on(t_s):
             assert event.image is not None

@@ -1,7 +1,5 @@
 """Who asks to have the camera look at a place: what is offered, what is commanded, and everything that is refused."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math
@@ -42,8 +40,6 @@ assert isinstance(FIX, Fix) and FIX.height_amsl_m is not None
 
 
 class Autopilot:
-    """A `PointingEnd` that keeps what it is sent to look at."""
-
     def __init__(self) -> None:
         self.orders: list[Order] = []
         self.words: list[str] = []
@@ -113,7 +109,6 @@ CIRCLES = Look(max_radius_m=30.0, circle_radius_m=120.0, circle_clearance_m=60.0
 
 
 def looking(limits: Look = CIRCLES, height_m: float | None = 1000.0, age_s: float = 2.0) -> tuple[Aircraft, str]:
-    """An aircraft whose camera was sent to look at the click, and the ticket of that."""
     aircraft = Aircraft(limits, age_s=age_s)
     aircraft.autopilot.height_m = height_m
     offered = aircraft.ask(ASKED)

@@ -1,7 +1,5 @@
 """The whole way of "look there": a certificate's holder asks over the link, an aircraft answers, an autopilot looks."""
 
-from __future__ import annotations
-
 import dataclasses
 import threading
 import time
@@ -79,8 +77,6 @@ def test_the_daemon_lets_no_one_point_its_camera_unless_configured(tmp_path: Pat
 
 @dataclass
 class Flying:
-    """An aircraft whose parts run, next to a fake autopilot, with one picture's set on board."""
-
     config: Config
     parts: Parts
     autopilot: FakeAutopilot

@@ -29,8 +29,6 @@ TURN = Turn()
 
 
 class Scripted:
-    """A camera that gives what it is asked to, or fails."""
-
     def __init__(self, frames: list[Frame], fails: int = 0) -> None:
         self._frames, self._fails = frames, fails
 

@@ -27,8 +27,6 @@ KIWI = Config.model_validate({"vehicle": {"id": "kiwi"}})
 
 
 class Fitted(Rig):
-    """A rig whose parts a test may change before they are used."""
-
     def __init__(self, change: Callable[[Parts], Parts]) -> None:
         super().__init__()
         self.change = change
@@ -44,8 +42,6 @@ class Fitted(Rig):
 
 
 class Listening:
-    """A sink that may fail: as it is entered, or at sets."""
-
     def __init__(self, entry: Exception | None = None, at: Callable[[FeatureSet], Exception | None] | None = None):
         self.entry, self.at = entry, at
         self.sets: list[FeatureSet] = []
@@ -220,8 +216,6 @@ def test_another_error_of_a_sink_ends_the_daemon_as_before(caplog: pytest.LogCap
 
 # Fault 20.
 class Memory:
-    """A state file that may refuse."""
-
     def __init__(self, refusals: int = 0) -> None:
         self.refusals, self.tries, self.kept = refusals, 0, ""
 

@@ -75,7 +75,6 @@ class Scene:
         return float(self.terrain.height_m(0.0, self.step_m * frame))
 
     def picture(self, frame: int, status: Status = Status.OK) -> tuple[Frame, FeatureSet]:
-        """A picture and its set."""
         pose, counts = self.pose(frame), _counts(self, frame)
         grey = np.zeros(counts.shape, np.uint8)
         return Frame(frame * STEP_NS, frame, grey, counts=counts), set_of(
@@ -91,6 +90,5 @@ def _counts(scene: Scene, frame: int) -> NDArray[np.uint16]:
 
 
 def place_of(east_m: float, north_m: float) -> tuple[float, float]:
-    """Latitude and longitude of a point of the ground."""
     lat, lon, _ = (float(c) for c in ORIGIN.to_geodetic(np.array([east_m, north_m, 0.0])))
     return lat, lon

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from contract.feature_set import Status
 from contract.rotations import exp_so3
@@ -22,8 +21,6 @@ from simulation.thermal import ThermalRenderer, ThermalSpec
 from simulation.trajectory import Pose
 from tests.onboard.spots.scenes import BOSON, DOWN, LEPTON, ORIGIN
 from tests.onboard.spots.two_cameras import VISIBLE, Turn, thermal_frame
-
-Array = NDArray[np.float64]
 
 CONFIG = parse_config(
     '[vehicle]\nid = "uav-1"\n[camera.thermal]\nfile = "thermal.json"\nscale = 0.01\npitch_deg = -8.0\n'

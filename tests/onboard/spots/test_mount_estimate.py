@@ -94,7 +94,6 @@ class Flight:
 
     @property
     def inside(self) -> list[bool]:
-        """Of their 90 % ellipses."""
         return [d2 < 4.605 for d2 in self.off]
 
 

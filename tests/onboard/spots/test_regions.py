@@ -16,7 +16,6 @@ GROUND = np.ones((24, 32), bool)
 
 
 def field(height: int = 240, width: int = 320, seed: int = 0) -> NDArray[np.float32]:
-    """Level ground with noise, K."""
     return (290.0 + np.random.default_rng(seed).normal(0.0, 0.1, (height, width))).astype(np.float32)
 
 

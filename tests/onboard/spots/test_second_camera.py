@@ -46,12 +46,10 @@ def fix_of(s: FeatureSet, uv_px: Array, root: Array | None = None) -> Fix:
 
 
 def place_m(s: FeatureSet, fix: Fix) -> Array:
-    """East, north, up of the scene's origin."""
     return ORIGIN.to_enu(fix.lat_deg, fix.lon_deg, float(fix.height_amsl_m or 0.0))
 
 
 def turned(mount: Mount, state: Array) -> Mount:
-    """A mount that is off by angles (3,) and a time."""
     return replace(mount, R_first_second=mount.R_first_second @ exp_so3(state[:3]), late_s=mount.late_s + state[3])
 
 

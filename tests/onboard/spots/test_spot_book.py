@@ -31,7 +31,6 @@ def simulated(scene: Scene, frames: Iterable[int], thermal: ThermalConfig = CALI
 
 
 def off_m(report: SpotReport, place: tuple[float, float]) -> float:
-    """How far the nearest spot is from a place, m."""
     lat, lon = place_of(*place)
     frame = LocalFrame(lat, lon, ORIGIN.height_m)
     far = [np.hypot(*frame.to_enu(s.place.lat_deg, s.place.lon_deg, 600.0)[:2]) for s in report.spots if s.place]
@@ -177,8 +176,6 @@ def test_another_session_begins_again_and_pictures_without_counts_are_passed_ove
 
 
 class _Net:
-    """A net that finds what it is given."""
-
     def __init__(self, *peaks: Peak) -> None:
         self.found = list(peaks)
 

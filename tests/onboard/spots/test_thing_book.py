@@ -49,8 +49,6 @@ class Sampled:
 
 @dataclass
 class Given:
-    """A net that finds what it is given."""
-
     found: list[Peak]
 
     def peaks(self, values: np.ndarray) -> list[Peak]:

@@ -33,7 +33,6 @@ class Turn:
     tilt_deg: float = 12.0
 
     def pose(self, time_s: float) -> Pose:
-        """Of the first camera."""
         heading = self.turn_rad_s * time_s
         radius = self.speed_m_s / self.turn_rad_s if self.turn_rad_s else 0.0
         place = (

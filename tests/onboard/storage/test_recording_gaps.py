@@ -28,7 +28,6 @@ from tests.waiting import PATIENCE_S, eventually
 
 @pytest.fixture
 def sink(tmp_path: Path) -> Iterator[Recorded]:
-    """One that tries again soon, on a disk with room."""
     with recorder(tmp_path, configured("none", keep_free_mb=100.0), free=Disk(), retry_s=0.1) as opened:
         yield opened
 
@@ -210,8 +209,6 @@ def test_a_set_that_cannot_be_encoded_leaves_a_gap_and_the_file_goes_on(
 
 
 class Minutes:
-    """A session's clock that the test turns."""
-
     def __init__(self) -> None:
         self.s = 1_700_000_000.0
 

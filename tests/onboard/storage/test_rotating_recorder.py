@@ -79,8 +79,6 @@ def learned() -> str:
 
 
 class Reporting(SetSink):
-    """Says how things are with every set."""
-
     def __init__(self, sink: Recorded) -> None:
         self._sink = sink
 
@@ -237,8 +235,6 @@ def test_two_sessions_in_a_folder_are_distinguished(session: Path, tmp_path: Pat
 
 
 class Disk:
-    """So much room, until asked otherwise."""
-
     def __init__(self, free: int = GIGABYTE) -> None:
         self.free = free
 
@@ -247,7 +243,6 @@ class Disk:
 
 
 def holds(folder: Path, frame: int) -> bool:
-    """Whether a set can be read from what is on the disk by now."""
     try:
         return frame in Recording(folder).frames("uav-1")
     except InputError:

@@ -91,7 +91,6 @@ def spell(rng: random.Random, counts: Counter[str]) -> None:
 
 
 def main() -> None:
-    """Spells until the count is reached."""
     count, seed = (int(word) for word in [*sys.argv[1:], *("1000000", "0")[len(sys.argv) - 1 :]])
     counts: Counter[str] = Counter()
     began = time.monotonic()

@@ -34,8 +34,6 @@ def config_for(url: str, **keys: object) -> Config:
 
 @dataclass
 class Listening:
-    """A source at work, and its events with their arrivals."""
-
     source: TelemetrySource
     clock: SessionClock
     stop: threading.Event = field(default_factory=threading.Event)

@@ -16,13 +16,10 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from pyulog import ULog
 
 from contract.rotations import euler_from_matrix, matrix_from_euler, quaternion_from_matrix
-
-Array = NDArray[np.float64]
 
 T0_S = 1_795_217_000.0
 BOOT_S = 60.0
@@ -129,8 +126,6 @@ del KINDS["GPSL"]
 
 
 class Dataflash:
-    """Writes a DataFlash log."""
-
     def __init__(self) -> None:
         self.data = b""
         self.rows: list[tuple[int, bytes]] = []
@@ -407,7 +402,6 @@ def mrk() -> bytes:
 
 
 def box(name: bytes, *content: bytes) -> bytes:
-    """A box of a container (ISO 14496-12)."""
     return struct.pack(">I4s", 8 + len(b"".join(content)), name) + b"".join(content)
 
 
@@ -457,7 +451,6 @@ def with_track(video: Path, kind: bytes, samples: list[bytes], starts_s: list[fl
 
 
 def gpmf(key: bytes, kind: bytes, size: int, content: bytes) -> bytes:
-    """One entry of GoPro's format."""
     count = len(content) // size
     return struct.pack(">4scBH", key, kind, size, count) + content + bytes(-len(content) % 4)
 

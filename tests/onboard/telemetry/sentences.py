@@ -2,7 +2,6 @@
 
 
 def sentence(body: str) -> bytes:
-    """With its checksum."""
     total = 0
     for byte in body.encode():
         total ^= byte

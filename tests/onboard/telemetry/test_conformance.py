@@ -39,8 +39,6 @@ ALL = pytest.mark.parametrize("name", WIRES)
 
 @dataclass
 class Simulated:
-    """What was sent and what came of it."""
-
     autopilot: FakeAutopilot
     events: list[NavEvent]
     true: list[NavEvent]
@@ -55,7 +53,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def simulated(folder: Path) -> Iterator[dict[str, Simulated]]:
-    """All of them side by side, a few seconds long."""
     out = {}
     began_s = time.monotonic()
     with ExitStack() as stack:
@@ -89,7 +86,6 @@ def simulated(folder: Path) -> Iterator[dict[str, Simulated]]:
 
 
 def beats_of(autopilot: FakeAutopilot) -> list[Any]:
-    """The source's own heartbeats."""
     return [beat for beat in autopilot.received_of("HEARTBEAT") if beat.get_srcSystem() == autopilot.system]
 
 

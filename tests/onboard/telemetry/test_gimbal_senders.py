@@ -68,7 +68,6 @@ def orientation(boot_ms: int, yaw: float = 40.0, absolute: float = 0.0, pitch: f
 
 
 def pitches(events: list[GimbalAttitude]) -> set[float]:
-    """Rad, to the thousandth."""
     return {round(2.0 * math.asin(e.q_ref_gimbal[2]), 3) for e in events}
 
 

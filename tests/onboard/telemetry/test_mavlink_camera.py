@@ -2,8 +2,6 @@
 else is sent to it gets no answer that was not asked for, and no command ever leaves it.
 """
 
-from __future__ import annotations
-
 import math
 import threading
 import time
@@ -147,8 +145,6 @@ def test_a_click_that_has_no_answer_is_refused_in_words() -> None:
 
 
 class End:
-    """A `CameraEnd` that answers at once, or never."""
-
     def __init__(self, answer: Fix | Refusal | None = None) -> None:
         self.answer, self.asked, self.stopped = answer, list[Asked](), 0
         self._ready: list[Answered] = []
@@ -192,7 +188,6 @@ class Virtual:
         self.send(mavlink.MAVLink_command_long_message(1, component, 2004, again, u, v, 0, 0, 0, 0, 0))
 
     def due(self) -> list[Any]:
-        """All but heartbeats."""
         return [m for m in self.camera.due(round(self.now_s * 1e9)) if m.get_type() != "HEARTBEAT"]
 
     def results(self) -> list[int]:

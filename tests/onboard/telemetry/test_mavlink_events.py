@@ -1,7 +1,5 @@
 """MAVLink messages beyond position and attitude, as events: the filter's doubts, gimbals, range finders."""
 
-from __future__ import annotations
-
 import math
 import operator
 from functools import partial

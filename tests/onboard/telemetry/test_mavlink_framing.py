@@ -1,7 +1,5 @@
 """Packets out of whatever is on a line: none is lost to garbage, none is made up of it, and it ends in good time."""
 
-from __future__ import annotations
-
 import itertools
 import random
 import time

@@ -1,7 +1,5 @@
 """What passes through the autopilot, to whom, and which ground stations the autopilot has."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

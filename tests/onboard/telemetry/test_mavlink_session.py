@@ -1,7 +1,5 @@
 """The conversation with one autopilot, with time as a number: how it is, what is said, and as what we are announced."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

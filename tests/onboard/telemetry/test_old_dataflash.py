@@ -43,8 +43,6 @@ PLANE_30 = COPTER_32 | {"ATT": ("IccCCC", "TimeMS,Roll,Pitch,Yaw,ErrorRP,ErrorYa
 
 
 class Log:
-    """Writes a log of these kinds."""
-
     def __init__(self, kinds: dict[str, tuple[str, str]]) -> None:
         self._kinds, self._rows = kinds, list[tuple[float, bytes]]()
         self._types = {name: 130 + i for i, name in enumerate(kinds)}

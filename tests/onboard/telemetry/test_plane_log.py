@@ -117,7 +117,6 @@ def test_the_simulator_s_truth_in_the_log_is_no_input(shared_data: Path, tmp_pat
 
 
 def answered(folder: Path, log: TelemetryLog) -> Outcome:
-    """The session's pictures with another log."""
     config = Config.model_validate({"mount": {"gimbal": "never"}})
     camera = Camera.from_json(folder / "camera.json")
     flight = Flight.open(config, camera, folder / "frames", folder / "telemetry.tlog", folder / "stamps.csv")

@@ -1,7 +1,5 @@
 """Commands to look at a place and to circle, through both libraries: done, refused, lost, or never sent."""
 
-from __future__ import annotations
-
 import math
 import threading
 from collections.abc import Iterator
@@ -42,7 +40,6 @@ BOTH = pytest.mark.parametrize("backend", ["pymavlink", "mavsdk"])
 def flying(
     backend: str = "pymavlink", limit_s: float = PATIENCE_S, flight: Flight = FLIGHT, **about: Any
 ) -> Iterator[tuple[FakeAutopilot, Pointing, Listening]]:
-    """A fake autopilot that is being received, and what commands it."""
     pointing = Pointing(191, limit_s)
     url = f"udpout:127.0.0.1:{free_udp_port()}"
     with (

@@ -112,8 +112,6 @@ def test_a_lost_answer_is_asked_for_again() -> None:
 
 
 class FakeGimbal:
-    """Answers on loopback; `spoil` may change what it sends."""
-
     def __init__(self) -> None:
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.bind(("127.0.0.1", 0))

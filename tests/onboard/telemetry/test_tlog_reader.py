@@ -24,8 +24,6 @@ BOOT_MS = 60_000
 
 
 class Log:
-    """Writes a tlog as a ground station does."""
-
     def __init__(self) -> None:
         self.data = b""
 

@@ -1,7 +1,5 @@
 """A flat textured world seen straight down, with things on it: pictures and sets whose truth is simple arithmetic."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -38,7 +36,6 @@ class Thing:
     again_s: float = math.inf
 
     def is_shown(self, time_s: float) -> bool:
-        """Whether it can be seen."""
         return not self.until_s <= time_s < self.again_s
 
 
@@ -71,11 +68,9 @@ class World:
         self._lift = -np.quantile(self._ground, -self.clipped) if self.clipped < 0.0 else 0.0
 
     def ground(self, time_s: float) -> Array:
-        """What it looks like (900, 900), grey levels, without the things."""
         return self._ground
 
     def image(self, frame: int) -> NDArray[np.uint8]:
-        """The picture (240, 320)."""
         t = frame / RATE_HZ
         east, north = self.camera(t)
         left, top = 450.0 + east / M_PX - 159.5, 450.0 - north / M_PX - 119.5
@@ -97,13 +92,11 @@ class World:
         return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
 
     def pixel(self, thing: Thing, frame: int) -> Array:
-        """Where a thing is in a picture (2,)."""
         t = frame / RATE_HZ
         east, north = np.subtract(thing.place(t), self.camera(t))
         return np.array([159.5 + east / M_PX, 119.5 - north / M_PX])
 
     def frame(self, number: int) -> Frame:
-        """As it comes from the camera."""
         return Frame(stamp_ns(number), number, self.image(number))
 
     def its_set(self, number: int) -> FeatureSet:
@@ -138,7 +131,6 @@ class Crops(World):
         self._gusts = cv2.resize(gusts, (900, 900), interpolation=cv2.INTER_CUBIC)
 
     def ground(self, time_s: float) -> Array:
-        """The same with the gusts of that moment."""
         M = np.array([[1.0, 0.0, 4.0 * time_s / M_PX], [0.0, 1.0, 0.0]])
         return np.asarray(self._ground + cv2.warpAffine(self._gusts, M, (900, 900)), float)
 
@@ -153,7 +145,6 @@ class Leafy(World):
         self._leaves = [75.0 + 2.5 * cv2.GaussianBlur(one, (0, 0), 1.5) for one in grey]
 
     def image(self, frame: int) -> NDArray[np.uint8]:
-        """The picture (240, 320)."""
         t, below = frame / RATE_HZ, super().image(frame).astype(np.float32)
         east, north = self.camera(t)
         at_px = np.array([-east / M_PX, north / M_PX])
@@ -170,13 +161,10 @@ class Leafy(World):
 
 
 def stamp_ns(number: int) -> int:
-    """When a picture was taken."""
     return EPOCH_NS + round(number * 1e9 / RATE_HZ)
 
 
 def at(east_m: float, north_m: float, velocity: tuple[float, float] = (0.0, 0.0), from_s: float = 0.0) -> Place:
-    """A place that is left at `from_s` with a velocity."""
-
     def place(t: float) -> tuple[float, float]:
         gone = max(t - from_s, 0.0) if from_s > 0.0 else t
         return east_m + velocity[0] * gone, north_m + velocity[1] * gone

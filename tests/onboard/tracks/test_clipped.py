@@ -1,7 +1,5 @@
 """Pictures of which much is as bright or dark as a picture can be: what moves there unseen is not left standing."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

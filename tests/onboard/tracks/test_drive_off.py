@@ -1,7 +1,5 @@
 """Cars that stand and drive off, over a recorded autopilot's flight: followed, or lost, and never left behind."""
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 

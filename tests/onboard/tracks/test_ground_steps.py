@@ -1,7 +1,5 @@
 """The ground's own motion: found to a fraction of a pixel, kept within bounds, and never invented."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A thing is known again over any ground by its own grey, and another thing or the ground alone is not taken for it."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

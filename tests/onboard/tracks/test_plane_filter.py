@@ -1,7 +1,5 @@
 """Speed and course with sigmas that hold, errors that all pictures share kept out of averages, and rest as rest."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -75,7 +73,6 @@ def run_filter(
 
 
 def turned_by(angle_rad: float) -> np.ndarray:
-    """The rotation (2, 2), anticlockwise."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     return np.array([[c, -s], [s, c]])
 

@@ -1,10 +1,7 @@
 """Things followed through whole pictures with truth: where they are, how they move, and when that is not known."""
 
-from __future__ import annotations
-
 import math
 from collections import defaultdict
-from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -19,8 +16,6 @@ from onboard.tracks.looks import rotation
 from onboard.tracks.track_book import REPORT_LOST_S, TrackBook
 from tests.onboard.tracks.flat_world import M_PX, PLACE, RATE_HZ, SESSION, Crops, Leafy, Paved, Place, Thing, World, at
 from tests.rest_long import rest_long
-
-Watch = Callable[[int, list[TrackReport]], None]
 
 
 def fly(

@@ -28,8 +28,6 @@ LEVEL = np.zeros(3)
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """A ground and a camera over it."""
-
     renderer: Renderer
 
     def picture(self, pose: Pose, frame: int, gain: float = 1.0) -> Picture:
@@ -44,13 +42,11 @@ def world() -> World:
 def pose(
     east: float = 0.0, north: float = 0.0, up: float = 250.0, roll: float = 0.0, pitch: float = 0.0, yaw: float = 30.0
 ) -> Pose:
-    """Metres and degrees; looking down."""
     R_enu_body = R_ENU_NED @ matrix_from_euler(*np.radians([roll, pitch, yaw]))
     return Pose(np.array([east, north, up]), R_enu_body @ mount_rotation(0.0, -90.0, 0.0))
 
 
 def between(first: Pose, second: Pose) -> Array:
-    """Truth: the homography of level ground."""
     a, b = (plane_homography.Pose(p.R_enu_cam.T, p.centre_m) for p in (first, second))
     H = plane_homography.predict_homography(CAMERA, a, b, LEVEL)
     assert H is not None

@@ -14,7 +14,6 @@ FEATURES = 100
 
 
 def ground(seed: int, size: int) -> NDArray[np.uint8]:
-    """Texture at all scales, as ground has it."""
     rng = np.random.default_rng(seed)
     out = np.zeros((size, size), np.float32)
     for level in range(1, 9):

@@ -24,7 +24,6 @@ def rows(period_px: float, shift_px: float = 0.0, crossed: bool = True, noise: f
 
 
 def wild(seed: int) -> Picture:
-    """Blobs of many sizes, none like another."""
     rng = np.random.default_rng(seed)
     layers = [cv2.GaussianBlur(rng.standard_normal(SIZE[::-1]), (0, 0), s) * s for s in (1.0, 2.0, 4.0, 8.0)]
     return np.asarray(np.clip(120.0 + 60.0 * sum(layers), 0, 255), np.uint8)

@@ -19,7 +19,6 @@ RATE_HZ = 5.0
 
 
 def cloudy(seed: int, size_px: tuple[int, int], contrast: float = 25.0) -> NDArray[np.float32]:
-    """A ground with texture of every size."""
     rng, (width, height) = np.random.default_rng(seed), size_px
     ground = np.zeros((height, width), np.float32)
     for sigma in (1.5, 4.0, 12.0):
