@@ -6,10 +6,12 @@ from typing import Any
 
 import pytest
 
+from ground.web.guard import Rules
 from ground.web.startup import STATIC
 from tests.left_out import NO_PROGRAM
 from tests.onboard.link.ports import free_port
 from tests.web.browsing import Operator
+from tests.web.flying import Flight, Flying
 from tests.web.served import ARGUMENTS, CHROMIUM, Server, Simulated, recorded
 
 
@@ -96,6 +98,27 @@ def operators(station: Server, chromium: Any, simulated: Simulated) -> Iterator[
     for operator in made:
         operator.clear()
         operator.context.close()
+        operator.check()
+
+
+@pytest.fixture
+def flying(tmp_path: Path, chromium: Any) -> Iterator[Flying]:
+    page_is_built()
+    made: list[tuple[Flight, Operator]] = []
+
+    def begin(
+        aircraft: int = 1, rules: Rules | None = None, token: str = "", **context: Any
+    ) -> tuple[Flight, Operator]:
+        flight = Flight(tmp_path / "pins.sqlite", aircraft=aircraft, rules=rules, token=token)
+        flight.__enter__()
+        flight.source.fly_to(1)
+        made.append((flight, Operator(chromium, flight, **context)))
+        return made[-1]
+
+    yield begin
+    for flight, operator in made:
+        operator.context.close()
+        flight.__exit__(None, None, None)
         operator.check()
 
 

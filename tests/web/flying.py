@@ -5,10 +5,13 @@ from __future__ import annotations
 import socket
 import threading
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 
 import uvicorn
+from starlette.testclient import TestClient
 
 from ground.pins.store import PinStore
 from ground.web.app import create_app
@@ -19,6 +22,7 @@ from ground.web.startup import STATIC
 from ground.web.tile_area import TileArea
 from ground.web.tiles import Tiles
 from tests.waiting import PATIENCE_S
+from tests.web.browsing import Operator
 from tests.web.rendered import FlyingSource
 
 
@@ -58,3 +62,20 @@ class Flight:
         self._server.should_exit = True
         self._thread.join(PATIENCE_S)
         self.store.close()
+
+
+Flying = Callable[..., tuple[Flight, Operator]]
+"""Begins flights, each with its first picture and an operator before it: the fixture `flying`."""
+
+
+@contextmanager
+def requests_to(folder: Path, rules: Rules | None = None) -> Iterator[tuple[TestClient, FlyingSource]]:
+    """Requests to a flight's server, without a page."""
+    source = FlyingSource()
+    with (
+        PinStore(folder / "pins.sqlite") as store,
+        TestClient(
+            create_app(ServerContext(source, store, folder), rules or Rules()), base_url="http://127.0.0.1:8080"
+        ) as client,
+    ):
+        yield client, source

@@ -4,13 +4,12 @@ import argparse
 import dataclasses
 import json
 import time
-from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import pytest
-from starlette.testclient import TestClient
 
 from contract.answer import Fix
 from contract.errors import LinkError
@@ -20,9 +19,6 @@ from contract.look import AskCircle, AskLook, ConfirmLook, EndLook, Offer
 from contract.topics import STATUS
 from contract.vehicle_status import VehicleStatus, encode_status
 from ground.__main__ import main
-from ground.pins.store import PinStore
-from ground.web.app import create_app
-from ground.web.context import ServerContext
 from ground.web.guard import Rules
 from ground.web.live import LiveSource
 from ground.web.startup import WebError, tokens_of
@@ -32,9 +28,8 @@ from tests.onboard.link.asking import answered
 from tests.onboard.link.ports import free_endpoint
 from tests.waiting import eventually
 from tests.web.browsing import Operator
-from tests.web.conftest import page_is_built
-from tests.web.flying import Flight
-from tests.web.rendered import VEHICLE, FlyingSource, rendered_set
+from tests.web.flying import Flying, requests_to
+from tests.web.rendered import VEHICLE, rendered_set
 
 pytestmark = pytest.mark.xdist_group("web: a flight in motion")
 
@@ -42,18 +37,12 @@ TOKENS = {"operator": "operators-token-1234", "viewer": "viewers-token-1234", "p
 RULES = Rules(TOKENS["operator"], viewer_token=TOKENS["viewer"], pointer_token=TOKENS["pointer"])
 
 
+def seat(role: str) -> dict[str, Any]:
+    return {"rules": RULES, "token": TOKENS[role], "has_map": False}
+
+
 def headers(role: str) -> dict[str, str]:
     return {"authorization": f"Bearer {TOKENS[role]}"}
-
-
-@contextmanager
-def api(folder: Path, rules: Rules = RULES) -> Iterator[tuple[TestClient, FlyingSource]]:
-    source = FlyingSource()
-    with (
-        PinStore(folder / "pins.sqlite") as store,
-        TestClient(create_app(ServerContext(source, store, folder), rules), base_url="http://127.0.0.1:8080") as made,
-    ):
-        yield made, source
 
 
 def body(**more: Any) -> dict[str, Any]:
@@ -66,7 +55,7 @@ def body(**more: Any) -> dict[str, Any]:
 def test_a_click_is_offered_confirmed_and_ended_by_requests(tmp_path: Path) -> None:
     fix = Locator(rendered_set(0)).locate((320.0, 200.0))
     assert isinstance(fix, Fix)
-    with api(tmp_path) as (client, source):
+    with requests_to(tmp_path, RULES) as (client, source):
         offered = client.post("/api/look", json=body(), headers=headers("pointer"))
         assert offered.status_code == 200
         content = offered.json()
@@ -87,7 +76,7 @@ def test_a_click_is_offered_confirmed_and_ended_by_requests(tmp_path: Path) -> N
 
 
 def test_a_click_without_an_answer_does_not_get_to_the_aircraft(tmp_path: Path) -> None:
-    with api(tmp_path) as (client, source):
+    with requests_to(tmp_path, RULES) as (client, source):
         refused = client.post("/api/look", json=body(v=9000.0), headers=headers("pointer"))
         assert refused.status_code == 422 and "outside" in refused.json()["detail"] and source.looked == []
 
@@ -97,18 +86,18 @@ def test_a_click_without_an_answer_does_not_get_to_the_aircraft(tmp_path: Path) 
 )
 @pytest.mark.parametrize("role", ["operator", "viewer"])
 def test_no_other_role_has_a_camera_turned(tmp_path: Path, role: str, path: str) -> None:
-    with api(tmp_path) as (client, source):
+    with requests_to(tmp_path, RULES) as (client, source):
         for content in (body(), {"vehicle": VEHICLE}, {"vehicle": VEHICLE, "ticket": "ab", "waited_s": 0.0}):
             refused = client.post(path, json=content, headers=headers(role))
             assert refused.status_code in (403, 404, 405) and source.looked == []
 
 
 def test_a_pointer_may_what_an_operator_may_and_where_no_token_is_asked_for_no_one_points(tmp_path: Path) -> None:
-    with api(tmp_path) as (client, source):
+    with requests_to(tmp_path, RULES) as (client, source):
         assert client.get("/api/status", headers=headers("pointer")).json()["role"] == "pointer"
         assert client.post("/api/tracks", json=body(), headers=headers("pointer")).status_code == 201
     (tmp_path / "open").mkdir()
-    with api(tmp_path / "open", Rules()) as (client, source):
+    with requests_to(tmp_path / "open") as (client, source):
         assert client.post("/api/tracks", json=body()).status_code == 201
         refused = client.post("/api/look", json=body())
         assert refused.status_code == 403 and "no camera is sent anywhere" in refused.text and source.looked == []
@@ -123,7 +112,7 @@ def test_a_pointer_may_what_an_operator_may_and_where_no_token_is_asked_for_no_o
 )  # fmt: skip
 def test_a_confirmation_that_is_none_does_not_get_to_the_aircraft(tmp_path: Path, wrong: dict[str, Any]) -> None:
     content = {"vehicle": VEHICLE, "ticket": "ab", "waited_s": 1.0} | wrong
-    with api(tmp_path) as (client, source):
+    with requests_to(tmp_path, RULES) as (client, source):
         assert client.post("/api/look/confirm", json=content, headers=headers("pointer")).status_code == 422
         assert source.looked == []
 
@@ -184,25 +173,6 @@ def test_a_live_aircraft_is_asked_in_the_name_of_the_servers_certificate(tmp_pat
 # On the page.
 
 
-@pytest.fixture
-def flying(tmp_path: Path, chromium: Any) -> Iterator[Callable[..., tuple[Flight, Operator]]]:
-    page_is_built()
-    made: list[tuple[Flight, Operator]] = []
-
-    def start(role: str, **context: Any) -> tuple[Flight, Operator]:
-        flight = Flight(tmp_path / "pins.sqlite", rules=RULES, token=TOKENS[role])
-        flight.__enter__()
-        flight.source.fly_to(1)
-        made.append((flight, Operator(chromium, flight, has_map=False, **context)))
-        return made[-1]
-
-    yield start
-    for flight, operator in made:
-        operator.context.close()
-        flight.__exit__(None, None, None)
-        operator.check()
-
-
 def states(operator: Operator, words: str) -> None:
     operator.page.wait_for_function(
         "words => document.querySelector('[data-testid=answer]').textContent.includes(words)", arg=words
@@ -210,9 +180,9 @@ def states(operator: Operator, words: str) -> None:
 
 
 def test_the_place_is_confirmed_before_the_camera_turns_and_everybody_sees_it(
-    flying: Callable[..., tuple[Flight, Operator]],
+    flying: Flying,
 ) -> None:
-    flight, anna = flying("pointer")
+    flight, anna = flying(**seat("pointer"))
     page, source = anna.page, flight.source
     assert "90 % within" in anna.click(400.0, 300.0)
     anna.by("look-there").click()
@@ -243,9 +213,9 @@ def test_the_place_is_confirmed_before_the_camera_turns_and_everybody_sees_it(
 
 
 def test_the_aircraft_circles_only_once_place_height_and_radius_are_confirmed_as_well(
-    flying: Callable[..., tuple[Flight, Operator]],
+    flying: Flying,
 ) -> None:
-    flight, anna = flying("pointer")
+    flight, anna = flying(**seat("pointer"))
     page, source = anna.page, flight.source
     source.may_circle = True
     anna.click(400.0, 300.0)
@@ -273,8 +243,8 @@ def test_the_aircraft_circles_only_once_place_height_and_radius_are_confirmed_as
     assert isinstance(source.looked[-1], ConfirmLook) and anna.by("circle-there").count() == 0
 
 
-def test_a_refusal_is_stated_with_its_reason(flying: Callable[..., tuple[Flight, Operator]]) -> None:
-    flight, anna = flying("pointer")
+def test_a_refusal_is_stated_with_its_reason(flying: Flying) -> None:
+    flight, anna = flying(**seat("pointer"))
     flight.source.look_refusal = "late: offer and confirmation were 9 s on their way: click again"
     anna.click(400.0, 300.0)
     anna.by("look-there").click()
@@ -285,8 +255,8 @@ def test_a_refusal_is_stated_with_its_reason(flying: Callable[..., tuple[Flight,
 
 
 @pytest.mark.parametrize(("role", "why"), [("operator", ""), ("viewer", ""), ("pointer", "its link.pointers is empty")])
-def test_who_may_not_has_no_button(flying: Callable[..., tuple[Flight, Operator]], role: str, why: str) -> None:
-    flight, anna = flying(role)
+def test_who_may_not_has_no_button(flying: Flying, role: str, why: str) -> None:
+    flight, anna = flying(**seat(role))
     flight.source.why_unlooked = why
     flight.source.look_words = "ben: at 47.00000 8.00000, 400 m: accepted"
     anna.open()

@@ -1,7 +1,5 @@
 """A machine's finds on the page: listed, alarmed, confirmed to pins, dismissed; and behind it."""
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,15 +11,9 @@ from contract.answer import Ellipse, Fix, Place
 from contract.feature_set import Status
 from contract.locate import Locator
 from contract.spot import Spot, SpotReport, ThingKind
-from ground.pins.store import PinStore
-from ground.web.app import create_app
-from ground.web.context import ServerContext
-from ground.web.guard import Rules
 from tests.waiting import eventually
-from tests.web.browsing import Operator
-from tests.web.conftest import page_is_built
-from tests.web.flying import Flight
-from tests.web.rendered import VEHICLE, FlyingSource, rendered_set
+from tests.web.flying import Flying, requests_to
+from tests.web.rendered import VEHICLE, rendered_set
 
 pytestmark = pytest.mark.xdist_group("web: a flight in motion")
 
@@ -46,24 +38,12 @@ def report(frame: int, count: int = 2, vehicle: str = VEHICLE) -> SpotReport:
     return SpotReport(s.session, frame, s.capture_unix_ns, True, tuple(spots), 0, 0.8, 0.6, vehicle, 0.962)
 
 
-@contextmanager
-def api(folder: Path) -> Iterator[tuple[TestClient, FlyingSource]]:
-    source = FlyingSource()
-    with (
-        PinStore(folder / "pins.sqlite") as store,
-        TestClient(
-            create_app(ServerContext(source, store, folder), Rules()), base_url="http://127.0.0.1:8080"
-        ) as client,
-    ):
-        yield client, source
-
-
 def states(client: TestClient) -> dict[int, str]:
     return {spot["spot"]: spot["state"] for spot in client.get("/api/spots").json()["spots"]}
 
 
 def test_a_find_becomes_a_pin_with_its_source_or_is_dismissed_and_both_are_undone(tmp_path: Path) -> None:
-    with api(tmp_path) as (client, source):
+    with requests_to(tmp_path) as (client, source):
         source.fly_to(9)
         source.views.spots.add([report(0), report(1)])
         assert states(client) == {1: "open", 2: "open"}
@@ -92,7 +72,7 @@ def test_a_find_becomes_a_pin_with_its_source_or_is_dismissed_and_both_are_undon
 
 def test_a_picture_states_where_in_it_each_find_is(tmp_path: Path) -> None:
     """A walker's ring was where he had come to by the end, in all pictures of his way."""
-    with api(tmp_path) as (client, source):
+    with requests_to(tmp_path) as (client, source):
         source.fly_to(9)
         source.views.spots.add([report(k) for k in range(3)])
         for frame in range(3):
@@ -103,7 +83,7 @@ def test_a_picture_states_where_in_it_each_find_is(tmp_path: Path) -> None:
 
 def test_a_second_camera_that_is_lost_is_named_and_nothing_is_claimed_of_its_search(tmp_path: Path) -> None:
     """Before, the share of the last picture that it had searched stayed there."""
-    with api(tmp_path) as (client, source):
+    with requests_to(tmp_path) as (client, source):
         source.views.spots.add([report(0), report(1)])
         source.heat = "lost: no picture for 3.0 s"
         state = client.get("/api/status").json()["vehicles"][0]
@@ -113,10 +93,10 @@ def test_a_second_camera_that_is_lost_is_named_and_nothing_is_claimed_of_its_sea
 
 def test_what_one_server_dismissed_another_that_has_its_pins_does_not_show(tmp_path: Path) -> None:
     """Pins are shared with their tombstones; the other server numbers its finds in its own way."""
-    with api(tmp_path) as (client, source):
+    with requests_to(tmp_path) as (client, source):
         source.views.spots.add([report(0), report(1), report(2)])
         client.post("/api/spots/2/dismiss", json={"who": "ben"})
-    with api(tmp_path) as (client, source):
+    with requests_to(tmp_path) as (client, source):
         source.views.spots.add([replace(r, spots=r.spots[::-1]) for r in (report(1), report(2), report(3))])
         found = client.get("/api/spots").json()["spots"]
         assert {round(spot["temperature_c"]): spot["state"] for spot in found} == {52: "dismissed", 36: "open"}
@@ -124,7 +104,7 @@ def test_what_one_server_dismissed_another_that_has_its_pins_does_not_show(tmp_p
 
 def test_finds_come_as_events(tmp_path: Path) -> None:
     headers = {"host": "127.0.0.1:8080"}
-    with api(tmp_path) as (client, source), client.websocket_connect("/api/events", headers=headers) as socket:
+    with requests_to(tmp_path) as (client, source), client.websocket_connect("/api/events", headers=headers) as socket:
         source.views.spots.add([report(0), report(1)])
         received: list[dict[str, Any]] = []
         while not received:
@@ -138,26 +118,8 @@ _LISTEN = """() => { window.tones = 0; const start = OscillatorNode.prototype.st
   OscillatorNode.prototype.start = function (...a) { window.tones += 1; return start.apply(this, a); }; }"""
 
 
-@pytest.fixture
-def flying(tmp_path: Path, chromium: Any) -> Iterator[Callable[[], tuple[Flight, Operator]]]:
-    page_is_built()
-    made: list[tuple[Flight, Operator]] = []
-
-    def start() -> tuple[Flight, Operator]:
-        flight = Flight(tmp_path / "pins.sqlite")
-        flight.__enter__()
-        made.append((flight, Operator(chromium, flight)))
-        return made[-1]
-
-    yield start
-    for flight, operator in made:
-        operator.context.close()
-        flight.__exit__(None, None, None)
-        operator.check()
-
-
 def test_a_find_alarms_is_confirmed_or_dismissed_and_the_sound_can_be_muted(
-    flying: Callable[[], tuple[Flight, Operator]],
+    flying: Flying,
 ) -> None:
     flight, anna = flying()
     page = anna.page
@@ -213,7 +175,7 @@ def test_a_find_alarms_is_confirmed_or_dismissed_and_the_sound_can_be_muted(
 
 
 @pytest.mark.long
-def test_a_fire_is_an_area_on_the_map_with_its_words(flying: Callable[[], tuple[Flight, Operator]]) -> None:
+def test_a_fire_is_an_area_on_the_map_with_its_words(flying: Flying) -> None:
     flight, anna = flying()
     page = anna.page
     page.wait_for_function("() => document.querySelector('#grid-step').textContent.startsWith('grid ')")

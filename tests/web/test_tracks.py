@@ -2,14 +2,11 @@
 
 import json
 import re
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
-from starlette.testclient import TestClient
 
 from contract.answer import Ellipse, Fix, Place
 from contract.errors import LinkError
@@ -17,10 +14,7 @@ from contract.locate import Locator
 from contract.topics import TRACKS
 from contract.track import Course, StartTrack, StopTrack, TrackReport, TrackState, Unseen
 from contract.wire.track_code import decode_tracks, encode_track
-from ground.pins.store import PinStore
 from ground.track_paths import MOST_NEWS, TrackPaths
-from ground.web.app import create_app
-from ground.web.context import ServerContext
 from ground.web.guard import Rules
 from ground.web.live import LiveSource
 from ground.web.view import placed_in
@@ -31,8 +25,8 @@ from tests.onboard.link.ports import free_endpoint
 from tests.waiting import eventually
 from tests.web.browsing import Operator
 from tests.web.conftest import page_is_built
-from tests.web.flying import Flight
-from tests.web.rendered import VEHICLE, FlyingSource, record_rendered, rendered_set
+from tests.web.flying import Flight, Flying, requests_to
+from tests.web.rendered import VEHICLE, record_rendered, rendered_set
 from tests.web.served import Server
 
 pytestmark = pytest.mark.xdist_group("web: a flight in motion")
@@ -84,24 +78,12 @@ def test_a_number_that_comes_again_after_a_loss_is_another_thing_and_too_much_ne
     assert paths.since(0)[1] is None and len(paths.since(paths.version - MOST_NEWS)[1] or []) == MOST_NEWS
 
 
-@contextmanager
-def api(folder: Path, rules: Rules | None = None) -> Iterator[tuple[TestClient, FlyingSource]]:
-    source = FlyingSource()
-    with (
-        PinStore(folder / "pins.sqlite") as store,
-        TestClient(
-            create_app(ServerContext(source, store, folder), rules or Rules()), base_url="http://127.0.0.1:8080"
-        ) as made,
-    ):
-        yield made, source
-
-
 def body(frame: int, u: float = 320.0, v: float = 200.0, **more: Any) -> dict[str, Any]:
     return {"vehicle": VEHICLE, "frame": frame, "u": u, "v": v, **more}
 
 
 def test_a_track_is_begun_and_ended_by_a_request_and_refused_with_the_aircrafts_reason(tmp_path: Path) -> None:
-    with api(tmp_path) as (client, source):
+    with requests_to(tmp_path) as (client, source):
         made = client.post("/api/tracks", json=body(0, session=rendered_set(0).session))
         assert (made.status_code, made.json()) == (201, {"vehicle": VEHICLE, "track": 1, "frame": 0})
         assert client.delete(f"/api/tracks/{VEHICLE}/1").status_code == 200
@@ -118,7 +100,7 @@ def test_a_track_is_begun_and_ended_by_a_request_and_refused_with_the_aircrafts_
 
 
 def test_reports_are_there_as_paths_and_come_as_events(tmp_path: Path) -> None:
-    with api(tmp_path) as (client, source):
+    with requests_to(tmp_path) as (client, source):
         source.views.tracks.add([report_at(k, 300.0, 240.0) for k in range(3)])
         (path,) = client.get("/api/tracks").json()["tracks"]
         assert [r["frame"] for r in path] == [0, 1, 2]
@@ -135,7 +117,7 @@ def test_reports_are_there_as_paths_and_come_as_events(tmp_path: Path) -> None:
 
 
 def test_who_has_a_viewers_token_looks_and_changes_nothing(tmp_path: Path) -> None:
-    with api(tmp_path, Rules(OPERATOR_TOKEN, viewer_token=VIEWER_TOKEN)) as (client, source):
+    with requests_to(tmp_path, Rules(OPERATOR_TOKEN, viewer_token=VIEWER_TOKEN)) as (client, source):
         viewer, operator = ({"authorization": f"Bearer {token}"} for token in (VIEWER_TOKEN, OPERATOR_TOKEN))
         for path in ("/api/tracks", "/api/pins", "/api/status"):
             assert client.get(path, headers=viewer).status_code == 200
@@ -216,26 +198,7 @@ def is_boxed(operator: Operator, key: str, u: float, v: float, within_px: float 
     return eventually(is_there)
 
 
-@pytest.fixture
-def flying(tmp_path: Path, chromium: Any) -> Iterator[Callable[..., tuple[Flight, Operator]]]:
-    page_is_built()
-    made: list[tuple[Flight, Operator]] = []
-
-    def start(aircraft: int = 1, **context: Any) -> tuple[Flight, Operator]:
-        flight = Flight(tmp_path / "pins.sqlite", aircraft=aircraft)
-        flight.__enter__()
-        flight.source.fly_to(1)
-        made.append((flight, Operator(chromium, flight, **context)))
-        return made[-1]
-
-    yield start
-    for flight, operator in made:
-        operator.context.close()
-        flight.__exit__(None, None, None)
-        operator.check()
-
-
-def test_what_was_clicked_is_followed_shown_and_ended(flying: Callable[..., tuple[Flight, Operator]]) -> None:
+def test_what_was_clicked_is_followed_shown_and_ended(flying: Flying) -> None:
     flight, anna = flying()
     page, key = anna.page, f"{VEHICLE}/{rendered_set(0).session}/1"
     assert anna.by("track-list").is_hidden()
@@ -277,7 +240,7 @@ def test_what_was_clicked_is_followed_shown_and_ended(flying: Callable[..., tupl
 
 
 @pytest.mark.long
-def test_the_ninth_is_refused_and_the_key_asks_too(flying: Callable[..., tuple[Flight, Operator]]) -> None:
+def test_the_ninth_is_refused_and_the_key_asks_too(flying: Flying) -> None:
     flight, anna = flying(has_map=False)
     anna.click(400.0, 300.0)
     for k in range(1, 9):
@@ -290,7 +253,7 @@ def test_the_ninth_is_refused_and_the_key_asks_too(flying: Callable[..., tuple[F
 
 
 def test_nothing_is_offered_to_be_followed_where_the_aircraft_does_not_and_the_key_states_why(
-    flying: Callable[..., tuple[Flight, Operator]],
+    flying: Flying,
 ) -> None:
     flight, anna = flying(has_map=False)
     flight.source.why_unfollowed = "uav-1 does not follow things"
@@ -304,7 +267,7 @@ def test_nothing_is_offered_to_be_followed_where_the_aircraft_does_not_and_the_k
 
 
 @pytest.mark.long
-def test_tracks_of_several_aircraft_are_distinguished(flying: Callable[..., tuple[Flight, Operator]]) -> None:
+def test_tracks_of_several_aircraft_are_distinguished(flying: Flying) -> None:
     flight, anna = flying(2)
     other = replace(report_at(1, 330.0, 240.0), vehicle="uav-2")
     fly(anna, flight, 1, report_at(1, 400.0, 300.0), other)
