@@ -43,7 +43,7 @@ from tests.onboard.commands import doctor_page
 
 FOLDER = Path(__file__).parent / "transcripts"
 START_NS = 1_700_000_000_250_000_000
-PROGRAMS = {"pc-ground": "ground.__main__", "pc-onboard": "onboard.__main__"}
+PROGRAMS = {"pc-ground": "ground.__main__", "pc-onboard": "onboard.__main__", "simulation.fly": "simulation.fly"}
 PAGES = {"pc-onboard-doctor": doctor_page.page}
 VOLATILE = (
     (re.compile(r"\b20\d\d-(?<!2023-)\d\d-\d\d[T ]\d\d:\d\d:\d\d(\.\d+)?(Z| UTC)?"), "<time>"),

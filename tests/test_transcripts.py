@@ -7,6 +7,7 @@ import pytest
 from tests.play_transcripts import FOLDER, PAGES, printed_now
 
 TRANSCRIPTS = sorted(FOLDER.glob("*.txt"))
+ERRORS = ("! pc-ground: error: ", "! pc-onboard: error: ", "! simulation.fly: ")
 
 
 @pytest.mark.parametrize("path", TRANSCRIPTS, ids=lambda path: path.stem)
@@ -24,4 +25,4 @@ def test_errors_are_one_line_without_a_traceback(path: Path) -> None:
         printed = [line for line in printed if line and not line.startswith("# ")]
         assert not any("Traceback" in line for line in printed), typed
         if "(exit 2)" in printed:
-            assert len(printed) == 2 and printed[0].startswith(("! pc-ground: error: ", "! pc-onboard: error: ")), typed
+            assert len(printed) == 2 and printed[0].startswith(ERRORS), typed

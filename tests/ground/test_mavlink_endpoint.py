@@ -40,23 +40,6 @@ def test_a_ground_station_s_number_is_refused_with_what_it_would_hide(options: s
         MavlinkEndpoint.parse(text)
 
 
-@pytest.mark.parametrize(
-    ("text", "reported"),
-    [
-        ("mavlink:udpin:14551", "is none of"),
-        ("mavlink:carrier:pigeon:1", "is none of"),
-        ("mavlink:udpin:0.0.0.0:x", "is none of"),
-        ("mavlink:udpin:0.0.0.0:14551?sytem=3", "sytem"),
-        ("mavlink:udpin:0.0.0.0:14551?system=0", "no number from 1 to 255"),
-        ("mavlink:udpin:0.0.0.0:14551?vehicle=x", "no number from 1 to 255"),
-    ],
-)
-def test_what_cannot_be_read_is_one_line(text: str, reported: str) -> None:
-    with pytest.raises(UsageError, match=reported) as raised:
-        MavlinkEndpoint.parse(text)
-    assert "\n" not in str(raised.value)
-
-
 class Link:
     def __init__(self, answer: Answer) -> None:
         self.answer = answer

@@ -268,13 +268,6 @@ def test_a_chunked_recording_that_cannot_be_read_to_its_end_says_so(tmp_path: Pa
     assert len(recording.damage) == 1 and str(path) in recording.damage[0]
 
 
-def test_a_missing_file_and_a_folder_are_named(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="No such file"):
-        Recording(tmp_path / "none.mcap")
-    with pytest.raises(InputError, match="directory"):
-        Recording(tmp_path)
-
-
 def write_chunked(path: Path) -> None:
     with path.open("wb") as stream:
         writer = Writer(stream, compression=CompressionType.NONE)

@@ -219,16 +219,6 @@ def test_what_cannot_be_a_flight_is_one_line_and_nothing_is_written(
     assert not (tmp_path / "flight").exists()
 
 
-def test_a_folder_that_is_not_there_or_a_place_that_is_taken(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["import-photos", str(tmp_path / "none"), "--out", str(tmp_path / "flight")]) == 2
-    assert "no such folder of photographs" in capsys.readouterr().err
-    (tmp_path / "empty").mkdir()
-    assert main(["import-photos", str(tmp_path / "empty"), "--out", str(tmp_path / "flight")]) == 2
-    assert "0 pictures in it or below it; at least 3" in capsys.readouterr().err
-
-
 def test_pictures_named_by_utc_are_a_flight_with_the_log_and_the_camera_file_next_to_them(
     shared_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

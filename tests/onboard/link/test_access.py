@@ -286,13 +286,6 @@ def test_certificates_say_what_they_are_for(credentials: Path) -> None:
         assert timedelta(days=29) < left <= timedelta(days=30)
 
 
-def test_a_name_stands_for_one_certificate_only(tmp_path: Path) -> None:
-    """What else makes no sense: tests/transcripts/pc-onboard-make-credentials.txt."""
-    with pytest.raises(InputError, match="one certificate only"):
-        make_credentials(tmp_path, ["a"], ["a"], [], 30.0)
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_a_certificate_in_use_is_not_replaced(credentials: Path) -> None:
     with pytest.raises(InputError, match="anna exists"):
         make_credentials(credentials, [], ["anna"], [], 30.0)

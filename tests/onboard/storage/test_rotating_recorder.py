@@ -212,17 +212,11 @@ def _counts(line: str) -> tuple[int, int]:
     return int(words[0]), int(words[2])
 
 
-def test_usage_that_does_not_go_together_is_one_line(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for arguments, why in (
-        ([str(session), "--frames", "x"], "leave --frames out"),
-        ([], "replay needs a recording, or pictures and a log"),
-        ([str(session / "none.mcap")], "no such file"),
-        ([str(session.parent / "nowhere")], "no such file"),
-        ([str(session), "--out", str(first(session))], "is what is replayed"),
-    ):
-        assert main(["replay", *arguments]) == 2
-        (line,) = capsys.readouterr().err.splitlines()
-        assert why in line
+def test_what_is_replayed_is_not_written_over(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Other usage that cannot be: tests/transcripts/pc-onboard-replay.txt."""
+    assert main(["replay", str(session), "--out", str(first(session))]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "is what is replayed" in line
 
 
 def test_two_sessions_in_a_folder_are_distinguished(session: Path, tmp_path: Path) -> None:

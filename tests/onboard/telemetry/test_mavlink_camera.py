@@ -426,12 +426,6 @@ def test_a_video_is_named_as_the_standard_has_it(text: str, kind: int, encoding:
     assert Stream.parse(text) == Stream(kind, encoding, uri)
 
 
-@pytest.mark.parametrize("text", ["", "5600", "rtsp:", "h264:0", "h264:99999", "http://x", "rtsp://" + "x" * 160])
-def test_a_video_that_is_none_is_refused_at_the_start(text: str) -> None:
-    with pytest.raises(ConfigError, match="none of rtsp"):
-        Stream.parse(text)
-
-
 @pytest.mark.parametrize(
     ("telemetry", "words"),
     [

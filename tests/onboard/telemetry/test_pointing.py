@@ -10,8 +10,6 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from contract.errors import ConfigError
-from onboard.config.schema import parse_config
 from onboard.events.pointing import (
     ACCEPTED,
     NO_AUTOPILOT,
@@ -22,14 +20,12 @@ from onboard.events.pointing import (
     LookAhead,
     LookAt,
 )
-from onboard.events.session_clock import SessionClock
 from onboard.events.source import State
-from onboard.telemetry.factory import open_telemetry
 from onboard.telemetry.pointing import MOST_SENT, Pointing
 from simulation.autopilot.fake import FakeAutopilot, Faults
 from simulation.autopilot.flight import Flight
 from tests.onboard.link.ports import free_udp_port
-from tests.onboard.telemetry.listening import FLIGHT, TLOG, Listening, config_for, listening
+from tests.onboard.telemetry.listening import FLIGHT, Listening, config_for, listening
 from tests.waiting import PATIENCE_S, eventually
 
 HILL = LookAt(-35.3632621, 149.1652374, 584.25)
@@ -248,25 +244,6 @@ def test_nothing_is_sent_to_an_autopilot_that_is_silent() -> None:
         before = len(commands(autopilot))
         assert pointing.command(HILL) == NO_AUTOPILOT
         assert len(commands(autopilot)) == before == 0
-
-
-TLS = 'ca = "a"\ncertificate = "b"\nkey = "c"\n'
-
-
-@pytest.mark.parametrize(
-    ("url", "link", "word"),
-    [
-        (f"tlog:{TLOG}", f'{TLS}pointers = ["anna"]', "only a live autopilot"),
-        ("nmea:/dev/null:9600", f'{TLS}pointers = ["anna"]', "only a live autopilot"),
-        ("udpin:127.0.0.1:1", 'pointers = ["anna"]', "set link.ca, link.certificate and link.key"),
-        ("udpin:127.0.0.1:1", f'{TLS}allowed = ["ben"]\npointers = ["anna"]', "anna must also be in link.allowed"),
-        ("udpin:127.0.0.1:1", f'{TLS}pointers = ["*"]', "must be 1 to 32 letters"),
-    ],
-)
-def test_a_configuration_by_which_it_can_never_work_is_refused_by_name(url: str, link: str, word: str) -> None:
-    config = parse_config(f'[telemetry]\nurl = "{url}"\n[link]\n{link}\n')
-    with pytest.raises(ConfigError, match=word):
-        open_telemetry(config, SessionClock.start())
 
 
 def test_by_default_nothing_is_ever_sent_that_moves_anything() -> None:
