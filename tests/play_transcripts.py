@@ -40,11 +40,12 @@ from tests.ground.recorded import record
 from tests.ground.seen.levels import level_set, record_search
 from tests.ground.worlds import CAMERA, build
 from tests.onboard.commands import doctor_page
+from tests.onboard.service import prometheus_page
 
 FOLDER = Path(__file__).parent / "transcripts"
 START_NS = 1_700_000_000_250_000_000
 PROGRAMS = {"pc-ground": "ground.__main__", "pc-onboard": "onboard.__main__", "simulation.fly": "simulation.fly"}
-PAGES = {"pc-onboard-doctor": doctor_page.page}
+PAGES = {"pc-onboard-doctor": doctor_page.page, "prometheus": prometheus_page.page}
 VOLATILE = (
     (re.compile(r"\b20\d\d-(?<!2023-)\d\d-\d\d[T ]\d\d:\d\d:\d\d(\.\d+)?(Z| UTC)?"), "<time>"),
     (re.compile(r"\(choose from [^)]*\)"), "(choose from <choices>)"),  # quoted by some versions of Python

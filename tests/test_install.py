@@ -170,22 +170,6 @@ def test_a_link_without_an_aircraft_is_one_clear_line(environment: Path) -> None
     assert done.stderr.count("\n") == 1
 
 
-@pytest.mark.parametrize(
-    ("arguments", "output"),
-    [
-        (["click", "1", "2", "--from", "nowhere.mcap"], "nowhere.mcap"),
-        (["click", "1", "nan"], "finite"),
-        (["click", "--batch", "clicks.csv"], "--from"),
-        (["clack"], "clack"),
-    ],
-)
-def test_wrong_usage_is_reported(environment: Path, arguments: list[str], output: str) -> None:
-    done = run(environment, "pc-ground", *arguments)
-    assert (done.returncode, done.stdout) == (2, "")
-    assert output in done.stderr
-    assert "Traceback" not in done.stderr
-
-
 def test_the_aircrafts_command_says_what_it_needs(environment: Path) -> None:
     done = run(environment, "pc-onboard", "replay", "--frames", ".", "--telemetry", "x.tlog", "--camera", "c.json")
     assert done.returncode == 2

@@ -49,12 +49,19 @@ def make_pytest(
     return done.returncode, calls.read_text().splitlines(), done.stdout + done.stderr
 
 
-def test_real_time_is_measured_after_the_others(tmp_path: Path) -> None:
-    code, calls, _ = make_pytest(tmp_path, 0, 0)
+@pytest.mark.parametrize(
+    ("target", "serial", "chosen"),
+    [
+        pytest.param("pytest", 0, "not long", id="the short ones"),
+        pytest.param("test-long", 5, "long", id="the long ones, of which none may measure it"),
+    ],
+)
+def test_real_time_is_measured_after_the_others(tmp_path: Path, target: str, serial: int, chosen: str) -> None:
+    code, calls, _ = make_pytest(tmp_path, 0, serial, target=target)
     assert code == 0
     assert calls == [
-        f"-m pytest -m not long and not wall_clock {PARALLEL}",
-        f"-m pytest -m not long and wall_clock {REAL_TIME}",
+        f"-m pytest -m {chosen} and not wall_clock {PARALLEL}",
+        f"-m pytest -m {chosen} and wall_clock {REAL_TIME}",
     ]
 
 
@@ -74,15 +81,6 @@ def test_the_python_lines_that_look_at_our_own_modules_run() -> None:
         done = subprocess.run([sys.executable, "-I", "-c", line], cwd=ROOT, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr
         assert Path(done.stdout.strip()) == ROOT / "ground" / "web" / "static"
-
-
-def test_the_long_tests_have_a_run_of_their_own_that_needs_none_of_real_time(tmp_path: Path) -> None:
-    code, calls, _ = make_pytest(tmp_path, 0, 5, target="test-long")
-    assert code == 0
-    assert calls == [
-        f"-m pytest -m long and not wall_clock {PARALLEL}",
-        f"-m pytest -m long and wall_clock {REAL_TIME}",
-    ]
 
 
 @pytest.mark.parametrize(("parallel", "serial"), [(1, 0), (0, 1), (5, 0), (5, 5)])

@@ -138,10 +138,13 @@ def is_rising(*flights: Simulated) -> bool:
     return all(a < b for a, b in itertools.pairwise(np.concatenate([simulated.stamp_ns for simulated in flights])))
 
 
-def test_the_drift_is_stated_as_it_is() -> None:
-    link = Link(Clocks(22e-3, False), quiet)
-    link.fly(60.0)
-    assert link.clock.figures()["drift_ppm"] == pytest.approx((1.0 / 1.022 - 1.0) * 1e6, abs=50.0)
+@pytest.mark.parametrize("rate", [0.0, 50e-6, -400e-6, 25e-3, -25e-3])
+def test_the_drift_is_stated_as_it_is_and_stamps_are_right(rate: float) -> None:
+    link = Link(Clocks(rate, False), quiet)
+    simulated = link.fly(60.0)
+    assert link.clock.figures()["drift_ppm"] == pytest.approx((1.0 / (1.0 + rate) - 1.0) * 1e6, abs=50.0)
+    assert np.max(np.abs(simulated.error_ms[100:])) < 4.0
+    assert is_rising(simulated)
 
 
 @pytest.mark.parametrize("rate", rest_long([27e-3, -27e-3, 0.0]))

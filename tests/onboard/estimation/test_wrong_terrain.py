@@ -47,31 +47,24 @@ def test_a_window_over_a_wrong_model_is_solved_without_it(
     assert outcome.terrain_doubt.startswith(f"ground off the terrain model: {-off_m:+.0f} m"), outcome.terrain_doubt
 
 
-def test_a_model_that_windows_agreed_with_is_no_more_in_doubt_than_lens_and_ground(
-    request_and_ground: tuple[Request, float],
+@pytest.mark.parametrize(
+    ("known", "off_m", "status", "is_doubted"),
+    [
+        pytest.param({}, 1.0, Status.OK, False, id="one that is right is used"),
+        pytest.param({}, -5.0, Status.OK, False, id="and one that is nearly right"),
+        pytest.param({"is_terrain_left_out": True}, 0.0, Status.OK, False, id="left out, it comes back when it agrees"),
+        pytest.param({"is_terrain_left_out": True}, 48.0, Status.OK, True, id="and not before"),
+        pytest.param(
+            {"has_terrain_agreed": True}, 48.0, Status.POOR_FIT, True, id="agreed, it is as sure as lens and ground"
+        ),
+    ],
+)
+def test_a_model_is_in_doubt_by_what_is_known_of_it(
+    request_and_ground: tuple[Request, float], known: dict[str, bool], off_m: float, status: Status, is_doubted: bool
 ) -> None:
     request, ground_m = request_and_ground
-    outcome = over(replace(request, has_terrain_agreed=True), ground_m + 48.0)
-    assert outcome.status is Status.POOR_FIT
-    assert outcome.terrain_doubt
-
-
-@pytest.mark.parametrize("off_m", [0.0, 48.0])
-def test_a_model_that_is_left_out_comes_back_where_a_window_agrees(
-    request_and_ground: tuple[Request, float], off_m: float
-) -> None:
-    request, ground_m = request_and_ground
-    outcome = over(replace(request, is_terrain_left_out=True), ground_m + off_m)
-    assert outcome.status is Status.OK
-    assert bool(outcome.terrain_doubt) == (off_m != 0.0)
-
-
-@pytest.mark.parametrize("off_m", [1.0, -5.0])
-def test_a_model_that_is_right_is_used(request_and_ground: tuple[Request, float], off_m: float) -> None:
-    request, ground_m = request_and_ground
-    outcome = over(request, ground_m + off_m)
-    assert outcome.status is Status.OK
-    assert outcome.terrain_doubt == ""
+    outcome = over(replace(request, **known), ground_m + off_m)
+    assert (outcome.status, bool(outcome.terrain_doubt)) == (status, is_doubted)
 
 
 def answered(sets: dict[int, FeatureSet], flight: SampledFlight) -> list[float]:

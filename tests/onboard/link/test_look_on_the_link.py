@@ -21,6 +21,7 @@ from onboard.link.certificates import make_credentials
 from onboard.link.publisher import Publisher, Rate
 from tests.onboard.link.asking import answered, asked
 from tests.onboard.link.ports import free_endpoint
+from tests.onboard.link.test_access import session
 from tests.onboard.link.test_publisher import a_set
 
 WIDE = Rate(max_bit_rate=1e6)
@@ -59,8 +60,7 @@ class Place:
         return Tls.in_folder(self.keys / name)
 
     def session(self, name: str) -> zenoh.Session:
-        config = link_config("client", connect=[self.endpoint], tls=self.tls(name))
-        return zenoh.open(zenoh.Config.from_json5(config))
+        return session(self.endpoint, self.tls(name))
 
 
 @pytest.fixture

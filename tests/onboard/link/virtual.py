@@ -129,6 +129,14 @@ def run(
     return sent
 
 
+def heaviest(sent: list[Sent], window_s: float) -> float:
+    """The most bytes that went in any window of so long."""
+    return max(
+        (sum(s.wire_bytes for s in sent if first.at_s <= s.at_s <= first.at_s + window_s) for first in sent),
+        default=0.0,
+    )
+
+
 def flight(
     duration_s: float, rate_hz: float = 30.0, revised_after_s: float = 3.0, made_s: Callable[[], float] = lambda: 0.05
 ) -> list[tuple[float, Offer[str]]]:

@@ -23,9 +23,14 @@ from tests.rest_long import rest_long
 ALL = np.ones(225, bool)
 
 
-def off_in_sigmas(world: World, clicks: np.ndarray) -> tuple[np.ndarray, np.ndarray, list[Measured]]:
-    """Relative errors of the inverse depth, the same over their sigma, and what became of every click."""
-    questions, clicked, rest = Questions(), world.kept(CLICKED), others(world)
+def off_in_sigmas(
+    world: World, clicks: np.ndarray, clicked: Kept | None = None, rest: list[Kept] | None = None
+) -> tuple[np.ndarray, np.ndarray, list[Measured]]:
+    """Relative errors of the inverse depth, the same over their sigma, and what became of every click.
+
+    Of the world's own pictures, unless others are given.
+    """
+    questions, clicked, rest = Questions(), clicked or world.kept(CLICKED), rest or others(world)
     errors, sigmas, words = [], [], []
     for uv in clicks:
         pixel = questions.measured_set(clicked.its_set, (float(uv[0]), float(uv[1])), clicked, rest).clicked
@@ -118,14 +123,9 @@ def test_a_camera_that_is_off_by_what_its_type_may_be_is_in_a_click_s_sigma() ->
             dataclasses.replace(kept, its_set=dataclasses.replace(kept.its_set, camera=wrong))
             for kept in (world.kept(CLICKED), *others(world))
         )
-        questions = Questions()
-        for uv in clicks_in(seed, 12):
-            pixel = questions.measured_set(asked.its_set, (float(uv[0]), float(uv[1])), asked, rest).clicked
-            assert pixel is not None
-            if pixel.is_measured:
-                depth = float(world.depths(CLICKED, np.array([pixel.u_px, pixel.v_px]))[0])
-                sigmas.append(pixel.sigma_per_m / pixel.inverse_depth_per_m)
-                z.append((pixel.inverse_depth_per_m * depth - 1.0) / sigmas[-1])
+        off, in_sigmas, _ = off_in_sigmas(world, clicks_in(seed, 12), asked, rest)
+        z += list(in_sigmas)
+        sigmas += list(off / in_sigmas)
     assert len(z) >= 50 and np.median(sigmas) < 1e-3
     assert np.mean(np.abs(z) < 1.645) >= 0.8 and np.abs(z).max() < 4.0
 
@@ -138,15 +138,9 @@ def test_a_click_is_not_bent_as_its_set_is_by_a_camera_that_is_off() -> None:
     off, z = [], []
     for seed in range(8):
         world, k1 = World(seed=110 + seed), np.random.default_rng([seed, 74]).normal(0.0, 0.02)
-        asked, rest = bent_by(world, k1)
-        questions = Questions()
-        for uv in clicks_in(seed, 12):
-            pixel = questions.measured_set(asked.its_set, (float(uv[0]), float(uv[1])), asked, rest).clicked
-            assert pixel is not None
-            if pixel.is_measured:
-                depth = float(world.depths(CLICKED, np.array([pixel.u_px, pixel.v_px]))[0])
-                off.append(pixel.inverse_depth_per_m * depth - 1.0)
-                z.append(off[-1] * pixel.inverse_depth_per_m / pixel.sigma_per_m)
+        errors, in_sigmas, _ = off_in_sigmas(world, clicks_in(seed, 12), *bent_by(world, k1))
+        off += list(errors)
+        z += list(in_sigmas)
     assert len(z) >= 84 and np.median(np.abs(off)) < 5e-4
     assert np.mean(np.abs(z) < 1.645) >= 0.8 and np.abs(z).max() < 4.0
 

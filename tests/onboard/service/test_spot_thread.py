@@ -89,12 +89,6 @@ def test_it_begins_again_after_a_failure(pictures: Pictures, monkeypatch: pytest
         assert eventually(lambda: len(sent) == 1)
 
 
-def test_a_replay_of_a_camera_that_sees_light_says_that_it_is_none(capsys: pytest.CaptureFixture[str]) -> None:
-    folder = simulated(dataclasses.replace(STRAIGHT, seconds=5.0))
-    assert main(["replay", *_files(folder), "--spots"]) == 2
-    assert "--spots: the configuration states no thermal camera" in capsys.readouterr().err
-
-
 def _files(folder: Path) -> list[str]:
     return [f"--{name}={folder / file}" for name, file in (
         ("config", "config.toml"), ("frames", "frames"), ("telemetry", "telemetry.tlog"), ("camera", "camera.json"),
@@ -165,9 +159,3 @@ def test_a_replay_takes_a_second_cameras_pictures_by_their_own_stamps(
     stamps_ns = [frame.stamp_ns for frame in third.second_pictures()]
     sent_ns = [report.capture_unix_ns for report in recorded]
     assert stamps_ns == pytest.approx(sent_ns, abs=100_000)  # what a packet resolves
-
-
-def test_a_second_cameras_pictures_belong_to_spots(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    folder = simulated(dataclasses.replace(STRAIGHT, seconds=5.0))
-    assert main(["replay", *_files(folder), f"--thermal={tmp_path}"]) == 2
-    assert "add --spots" in capsys.readouterr().err

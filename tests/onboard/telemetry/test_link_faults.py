@@ -166,17 +166,6 @@ def test_another_vehicle_on_the_line_is_named_and_neither_is_followed(backend: s
         assert not received.got
 
 
-def test_a_vehicle_that_is_not_there_is_waited_for() -> None:
-    with (
-        FakeAutopilot(FLIGHT, "udpin:127.0.0.1:0", everything=True) as autopilot,
-        listening(config_for(autopilot.url, system=9)) as received,
-    ):
-        received.until(lambda: received.source.health().detail == "no autopilot with system number 9 found yet")
-        time.sleep(0.5)
-        assert received.source.health().state is State.STARTING
-        assert not received.got
-
-
 def test_what_is_reported_reaches_the_line_in_pieces_that_belong_together() -> None:
     with both_libraries() as pairs:
         for _, received in pairs:

@@ -14,7 +14,7 @@ import pytest
 
 from contract.errors import InputError
 from contract.rotations import log_so3, matrix_from_quaternion
-from onboard.events.types import Attitude, FilterStatus, GimbalAttitude, GpsQuality, NavEvent, PositionFix, RangeFinder
+from onboard.events.types import Attitude, FilterStatus, GimbalAttitude, GpsQuality, PositionFix, RangeFinder
 from onboard.telemetry.log_files import read_log
 from onboard.telemetry.log_formats import READ, table
 from onboard.telemetry.read_options import ReadOptions
@@ -38,6 +38,7 @@ from tests.onboard.telemetry.log_writers import (
     ulog,
     written,
 )  # fmt: skip
+from tests.onboard.telemetry.reading import of
 
 pytestmark = pytest.mark.xdist_group("log files")  # one worker: what they share is made once
 
@@ -102,10 +103,6 @@ ALL = pytest.mark.parametrize("kind", KINDS)
 @cache
 def content(kind: str) -> bytes:
     return WRITERS[kind]()
-
-
-def of(log: TelemetryLog, kind: type[NavEvent]) -> list:
-    return [event for event in log.events if isinstance(event, kind)]
 
 
 @pytest.fixture(scope="module")

@@ -12,9 +12,8 @@ import pytest
 
 from contract.errors import InputError
 from contract.rotations import matrix_from_quaternion
-from onboard.events.types import Attitude, FilterStatus, GpsQuality, NavEvent, PositionFix
+from onboard.events.types import Attitude, FilterStatus, GpsQuality, PositionFix
 from onboard.telemetry.log_files import read_log
-from onboard.telemetry.telemetry_log import TelemetryLog
 from tests.onboard.telemetry.log_writers import (
     ABOVE_M,
     BOOT_S,
@@ -27,6 +26,7 @@ from tests.onboard.telemetry.log_writers import (
     Moment,
     moments,
 )  # fmt: skip
+from tests.onboard.telemetry.reading import of
 
 T0_S = 1_412_000_000.0  # 2014-09-29, 16 leap seconds
 SCALE = {"c": 100, "C": 100, "e": 100, "E": 100, "L": 10_000_000}
@@ -87,10 +87,6 @@ def simulated(kinds: dict[str, tuple[str, str]], has_filter: bool = True, status
         when = {"Week": ms // 604_800_000 if week else 0, "TimeMS": ms % 604_800_000}
         log.add("GPS", m.t + GPS_LAG_S, Status=status, **where, **when)
     return log
-
-
-def of(log: TelemetryLog, kind: type[NavEvent]) -> list:
-    return [event for event in log.events if isinstance(event, kind)]
 
 
 @pytest.mark.parametrize("kinds", [COPTER_32, PLANE_30], ids=["copter 3.2", "plane 3.0"])

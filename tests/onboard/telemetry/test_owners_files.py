@@ -7,16 +7,13 @@ from pathlib import Path
 import pytest
 
 from contract.errors import InputError
-from onboard.events.types import GpsQuality, NavEvent, PositionFix
+from onboard.events.types import GpsQuality, PositionFix
 from onboard.telemetry.log_files import read_log
 from onboard.telemetry.read_options import ReadOptions
 from onboard.telemetry.telemetry_log import TelemetryLog
+from tests.onboard.telemetry.reading import of
 
 AIRDATA_HEAD = "time(millisecond),datetime(utc),latitude,longitude,height_above_takeoff(m),altitude_above_sealevel(m)\n"
-
-
-def of(log: TelemetryLog, kind: type[NavEvent]) -> list:
-    return [event for event in log.events if isinstance(event, kind)]
 
 
 def rows_of(line: str, count: int = 100) -> str:

@@ -9,21 +9,18 @@ import pytest
 
 from contract.errors import InputError
 from contract.rotations import euler_from_matrix, matrix_from_quaternion
-from onboard.events.types import Attitude, GimbalAttitude, NavEvent, PositionFix
+from onboard.events.types import Attitude, GimbalAttitude, PositionFix
 from onboard.telemetry.log_files import read_log
 from onboard.telemetry.telemetry_log import TelemetryLog
 from onboard.telemetry.video_reader import has_telemetry
 from tests.onboard.telemetry.log_writers import ABOVE_M, HOME_M, METRES_A_DEGREE, SPEED, T0_S, Moment
 from tests.onboard.telemetry.picture_messages import FROM_NOSE_DEG, POSITION_HZ, RATE_HZ, SECONDS, snapshot, video
+from tests.onboard.telemetry.reading import of
 
 
 def read(tmp_path: Path, *contents: Any) -> TelemetryLog:
     (tmp_path / "rec_A.mp4").write_bytes(video(*contents))
     return read_log(tmp_path / "rec_A.mp4")
-
-
-def of(log: TelemetryLog, kind: type[NavEvent]) -> list[Any]:
-    return [event for event in log.events if isinstance(event, kind)]
 
 
 def moments() -> list[float]:

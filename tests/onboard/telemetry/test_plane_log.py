@@ -20,6 +20,7 @@ from onboard.telemetry.log_files import read_log
 from onboard.telemetry.telemetry_log import TelemetryLog
 from simulation.flight import RecordedSpec
 from simulation.session import SessionSpec
+from tests.onboard.telemetry.reading import of
 from tests.scenarios.flights import Outcome, _Sets, click, simulated
 
 pytestmark = pytest.mark.xdist_group("plane log")  # one worker: what they share is made once
@@ -45,10 +46,6 @@ def logs(shared_data: Path) -> Logs:
     shift_ns = round((TRUTH_CLOCK_S + first_s) * 1e9) - log.span_ns[0]
     events: list[NavEvent] = [replace(event, stamp_ns=event.stamp_ns + shift_ns) for event in log.events]
     return Logs(read_log(folder / "plane_log.tlog"), TelemetryLog.by_stamp(events))
-
-
-def of(log: TelemetryLog, kind: type[NavEvent]) -> list:
-    return [event for event in log.events if isinstance(event, kind)]
 
 
 @pytest.fixture(scope="module")

@@ -165,11 +165,6 @@ def test_a_refusal_has_the_autopilots_word(result: int, word: str) -> None:
         assert autopilot.roi is None and len(commands(autopilot)) == 1
 
 
-def test_an_old_autopilot_that_knows_no_such_command_is_stated_by_name() -> None:
-    with flying(style="old") as (_, pointing, _received):
-        assert pointing.command(HILL) == "unsupported"
-
-
 def test_what_is_lost_is_sent_again_and_not_for_ever() -> None:
     with flying() as (autopilot, pointing, _):
         autopilot.roi_results.extend([None, int(mavlink.MAV_RESULT_ACCEPTED)])

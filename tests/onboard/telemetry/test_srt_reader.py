@@ -12,6 +12,7 @@ from onboard.telemetry.read_options import ReadOptions
 from onboard.telemetry.srt_axis_order import Order
 from onboard.telemetry.telemetry_log import TelemetryLog
 from tests.onboard.telemetry.log_writers import written
+from tests.onboard.telemetry.reading import of
 
 METRES_A_DEGREE = 111_320.0
 
@@ -31,12 +32,12 @@ def read(tmp_path: Path, *texts: str, order: Order | None = None, home_amsl_m: f
 
 
 def first(log: TelemetryLog) -> tuple[float, float]:
-    fix = next(event for event in log.events if isinstance(event, PositionFix))
+    fix = of(log, PositionFix)[0]
     return fix.lat_deg, fix.lon_deg
 
 
 def claim(log: TelemetryLog) -> GpsQuality:
-    return next(event for event in log.events if isinstance(event, GpsQuality))
+    return of(log, GpsQuality)[0]
 
 
 @pytest.mark.parametrize(
@@ -157,7 +158,7 @@ def test_real_subtitles_of_several_models_lie_where_they_were_recorded(
 def test_the_stated_height_above_the_sea_covers_a_take_off_at_minus_130_m(shared_data: Path, name: str) -> None:
     """Both were recorded from a field in the Netherlands, 1 m above the sea, on a day of high pressure."""
     log = read_log(shared_data / "logs" / name)
-    fix = next(event for event in log.events if isinstance(event, PositionFix))
+    fix = of(log, PositionFix)[0]
     error_m = fix.height_amsl_m - fix.height_above_home_m - 1.0
     sigma_m = claim(log).sigma_datum_m
     assert abs(error_m) < 1.645 * sigma_m < 200.0
@@ -209,7 +210,7 @@ def test_two_rows_that_contradict_one_another_are_refused(tmp_path: Path) -> Non
 def test_one_row_that_contradicts_all_others_is_left_out_and_reported(tmp_path: Path, wrong: int) -> None:
     rows = placed(*(20.0 * i + 40_000.0 * (i == wrong) for i in range(20)))
     log = read(tmp_path, *rows)
-    fixes = [event for event in log.events if isinstance(event, PositionFix)]
+    fixes = of(log, PositionFix)
     assert len(fixes) == 19 and max(fix.lat_deg for fix in fixes) < 47.01
     assert any("1 of 20 positions contradict the others" in note for note in log.notes)
 
@@ -229,7 +230,7 @@ def test_a_table_s_rows_are_judged_in_the_same_way(tmp_path: Path) -> None:
     rows = [f"{1.7e9 + 0.1 * i:.2f},{47.0 + 1e-5 * i + (i == 9):.7f},8.2,500" for i in range(20)]
     path.write_text("\n".join(["unix_time_s,lat_deg,lon_deg,height_amsl_m", *rows]) + "\n")
     log = read_log(path)
-    assert len([event for event in log.events if isinstance(event, PositionFix)]) == 19
+    assert len(of(log, PositionFix)) == 19
     assert any("1 of 20 positions contradict" in note for note in log.notes)
     path.write_text("\n".join(["unix_time_s,lat_deg,lon_deg,height_amsl_m", *rows[8:10]]) + "\n")
     with pytest.raises(InputError, match="positions contradict one another"):

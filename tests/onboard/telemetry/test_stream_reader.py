@@ -17,6 +17,7 @@ from onboard.telemetry.read_options import ReadOptions
 from onboard.telemetry.telemetry_log import TelemetryLog
 from onboard.telemetry.transport_stream import has_metadata, metadata_of
 from tests.onboard.telemetry import log_writers as w
+from tests.onboard.telemetry.reading import of
 
 BEGAN_NS = round(w.T0_S * 1e9)
 
@@ -90,7 +91,7 @@ def test_leap_seconds_make_it_utc_and_without_them_it_is_so_to_half_a_minute(
     items = w.misb_items(w.Moment(0.0))
     del items[136]
     log = read(tmp_path, stream({0.0: w.misb_set(items | ({} if leap is None else {136: leap}))}))
-    (fix,) = (event for event in log.events if isinstance(event, PositionFix))
+    (fix,) = of(log, PositionFix)
     assert fix.stamp_ns == BEGAN_NS + seconds * 10**9 and log.utc_sigma_s == sigma_s
 
 
@@ -152,7 +153,7 @@ def test_heights_above_the_ellipsoid_take_the_undulation(tmp_path: Path) -> None
 
 def test_a_camera_that_looks_straight_down_is_read_so(tmp_path: Path) -> None:
     log = read(tmp_path, stream({0.0: w.misb_set(w.misb_items(w.Moment(0.0), (0.0, -89.9, 30.0)))}))
-    (gimbal,) = (event for event in log.events if isinstance(event, GimbalAttitude))
+    (gimbal,) = of(log, GimbalAttitude)
     angles = np.degrees(euler_from_matrix(matrix_from_quaternion(gimbal.q_ref_gimbal)))
     assert angles[1] == pytest.approx(-89.9, abs=0.01)
 

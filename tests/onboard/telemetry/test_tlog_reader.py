@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mavlink
 
 from contract.errors import InputError
-from onboard.events.types import Attitude, GpsQuality, NavEvent, PositionFix
+from onboard.events.types import Attitude, GpsQuality, PositionFix
 from onboard.telemetry.log_files import read_log
 from onboard.telemetry.read_options import ReadOptions
-from onboard.telemetry.telemetry_log import TelemetryLog
 from onboard.telemetry.tlog_reader import read_tlog
+from tests.onboard.telemetry.reading import of
 from tests.recorded_logs import recorded
 
 T0_US = 1_795_217_000_000_000
@@ -76,10 +76,6 @@ def flight(seconds: float = 10.0) -> Log:
         log.add(t, position(t))
         log.add(t, gps(t))
     return log
-
-
-def of(log: TelemetryLog, kind: type[NavEvent]) -> list[Any]:
-    return [event for event in log.events if isinstance(event, kind)]
 
 
 def test_messages_become_events_in_si_units_on_the_log_s_clock(tmp_path: Path) -> None:

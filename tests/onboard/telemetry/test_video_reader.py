@@ -18,6 +18,7 @@ from onboard.telemetry.telemetry_log import TelemetryLog, quaternion
 from tests.bench.image.host import install
 from tests.left_out import NO_PROGRAM
 from tests.onboard.telemetry.log_writers import box, gpmf, mp4, track
+from tests.onboard.telemetry.reading import of
 
 BEGAN_NS = 1_780_308_000 * 10**9  # 2026-06-01 10:00:00
 SUBTITLE = "2026-06-01 10:00:0{0}.000 [latitude: 47.10000{0}] [longitude: 8.2] [rel_alt: 30.1 abs_alt: 501.3]"
@@ -54,7 +55,7 @@ def test_a_stale_time_of_an_older_gopro_moves_no_position(tmp_path: Path) -> Non
     times = [b"260601095958.600", b"260601100001.000", b"260601100002.000", b"260601100003.000"]
     seconds = [five(utc, 47.0 + 1e-4 * k, fix=2 if k == 3 else 3) for k, utc in enumerate(times)]
     log = read(tmp_path, mp4(b"gpmd", seconds, [0.0, 1.0, 2.0, 3.0]))
-    fixes = [event for event in log.events if isinstance(event, PositionFix)]
+    fixes = of(log, PositionFix)
     assert [fix.stamp_ns - BEGAN_NS for fix in fixes] == [k * 500_000_000 for k in range(6)]  # none of the last second
     assert [fix.lat_deg for fix in fixes] == pytest.approx([47.0, 47.00001, 47.0001, 47.00011, 47.0002, 47.00021])
     assert log.video_began == (BEGAN_NS, 0.5) and log.utc_sigma_s == 0.0
@@ -70,7 +71,7 @@ def test_subtitles_in_a_video_are_as_those_next_to_it(tmp_path: Path) -> None:
     texts = [SUBTITLE.format(k).encode() for k in range(3)]
     samples = [struct.pack(">H", len(text)) + text for text in texts]
     log = read(tmp_path, mp4(b"tx3g", samples, [0.0, 1.0, 2.0], handler=b"sbtl"))
-    fixes = [event for event in log.events if isinstance(event, PositionFix)]
+    fixes = of(log, PositionFix)
     assert log.video_epoch_ns == BEGAN_NS
     assert [(fix.stamp_ns - BEGAN_NS) // 10**9 for fix in fixes] == [0, 1, 2]
     assert [fix.lat_deg for fix in fixes] == [47.1, 47.100001, 47.100002]
@@ -94,7 +95,7 @@ def test_what_is_cut_off_a_video_is_cut_off_its_subtitles(
     samples = [struct.pack(">H", len(text)) + text for text in texts]
     of_both = {"of_video": edits(*of_video), "of_track": edits(*of_texts)}
     log = read(tmp_path, mp4(b"tx3g", samples, [0.0, 1.0, 2.0], b"sbtl", **of_both))
-    fixes = [event for event in log.events if isinstance(event, PositionFix)]
+    fixes = of(log, PositionFix)
     assert log.video_epoch_ns is not None
     found = {round((fix.lat_deg - 47.1) * 1e6): (fix.stamp_ns - log.video_epoch_ns) / 1e9 for fix in fixes}
     assert found == pytest.approx(shown_s)
@@ -146,7 +147,7 @@ EXIFTOOL_PRINTS = (
 
 
 def positions_of(log: TelemetryLog) -> list[tuple[float, float, float]]:
-    fixes = [event for event in log.events if isinstance(event, PositionFix)]
+    fixes = of(log, PositionFix)
     return [((fix.stamp_ns - fixes[0].stamp_ns) / 1e9, fix.lat_deg, fix.height_amsl_m) for fix in fixes]
 
 
@@ -211,13 +212,11 @@ def test_a_parrot_s_samples_belong_to_their_pictures(tmp_path: Path) -> None:
     samples = [parrot(47.0 + 1e-4 * k) for k in range(4)]
     log = read(tmp_path, mp4(b"mett", samples, [0.0, 0.5, 1.0, 1.5], about=PARROT))
     assert log.video_epoch_ns is not None and log.utc_sigma_s is None  # the container has no time of its own
-    fixes = [event for event in log.events if isinstance(event, PositionFix)]
+    fixes = of(log, PositionFix)
     assert [fix.stamp_ns - log.video_epoch_ns for fix in fixes] == [k * 500_000_000 for k in range(4)]
     assert [fix.lat_deg for fix in fixes] == pytest.approx([47.0 + 1e-4 * k for k in range(4)], abs=2e-7)
     assert fixes[0].height_amsl_m == 501.25 and fixes[0].velocity_ned_m_s == (12.0, -3.0, 0.5)
-    (attitude, *_), (gimbal, *_) = (
-        [event for event in log.events if isinstance(event, kind)] for kind in (Attitude, GimbalAttitude)
-    )
+    (attitude, *_), (gimbal, *_) = (of(log, kind) for kind in (Attitude, GimbalAttitude))
     assert gimbal.reference == "earth" and gimbal.is_of_camera
     assert attitude.q_ned_body == pytest.approx(quaternion((5.0, -3.0, 40.0)), abs=1e-4)
     assert gimbal.q_ref_gimbal == pytest.approx(quaternion((0.0, -60.0, 42.0)), abs=1e-4)
@@ -228,7 +227,7 @@ def test_a_parrot_without_a_fix_or_with_half_a_sample_has_no_position_then(tmp_p
     known, below = parrot(47.0, height_m=-12.5), parrot(47.001)[:60]
     samples = [parrot(500.0), known, below, b"", bytes(80), parrot(47.002, drone_deg=(0.0, 0.0, 0.0))]
     log = read(tmp_path, mp4(b"mett", samples, [0.5 * k for k in range(6)], about=PARROT))
-    fixes = [event for event in log.events if isinstance(event, PositionFix)]
+    fixes = of(log, PositionFix)
     assert [fix.height_amsl_m for fix in fixes] == [-12.5, 501.25]
     assert log.notes[0] == "1 of 3 samples have no position"
 
