@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 import uvicorn
 from starlette.testclient import TestClient
@@ -69,13 +70,12 @@ Flying = Callable[..., tuple[Flight, Operator]]
 
 
 @contextmanager
-def requests_to(folder: Path, rules: Rules | None = None) -> Iterator[tuple[TestClient, FlyingSource]]:
+def requests_to(
+    folder: Path, rules: Rules | None = None, headers: dict[str, str] | None = None, **context: Any
+) -> Iterator[tuple[TestClient, FlyingSource]]:
     """Requests to a flight's server, without a page."""
     source = FlyingSource()
-    with (
-        PinStore(folder / "pins.sqlite") as store,
-        TestClient(
-            create_app(ServerContext(source, store, folder), rules or Rules()), base_url="http://127.0.0.1:8080"
-        ) as client,
-    ):
-        yield client, source
+    with PinStore(folder / "pins.sqlite") as store:
+        app = create_app(ServerContext(source, store, folder, **context), rules or Rules())
+        with TestClient(app, "http://127.0.0.1:8080", headers=headers, follow_redirects=False) as client:
+            yield client, source

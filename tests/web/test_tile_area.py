@@ -20,19 +20,15 @@ from PIL import Image
 from starlette.testclient import TestClient
 
 from contract.errors import InputError
-from ground.pins.store import PinStore
 from ground.web import tile_area, tile_fetch
-from ground.web.app import create_app
-from ground.web.context import ServerContext
 from ground.web.guard import Rules
 from ground.web.tile_area import TileArea, area_of
 from ground.web.tile_fetch import checked_tile
 from ground.web.tiles import MbTiles, open_tiles
 from tests.waiting import eventually
 from tests.web.conftest import page_is_built
-from tests.web.flying import Flight
+from tests.web.flying import Flight, requests_to
 from tests.web.measured import SMALL, opened
-from tests.web.rendered import FlyingSource
 from tests.web.served import PageProgram
 from tests.web.test_base_map import share_drawn
 from tests.web.tile_files import REGION, rendered_tile, write_mbtiles, write_region
@@ -117,17 +113,7 @@ def there() -> Iterator[TileServer]:
 @contextmanager
 def api(folder: Path, source: str | None, attribution: str = "") -> Iterator[TestClient]:
     tiles = None if source is None else open_tiles(source, attribution)
-    with (
-        PinStore(folder / "pins.sqlite") as store,
-        TestClient(
-            create_app(
-                ServerContext(FlyingSource(), store, folder, tiles, area=area_of(tiles, folder / "tiles")), RULES
-            ),
-            base_url="http://127.0.0.1:8080",
-            headers=OPERATOR,
-            follow_redirects=False,
-        ) as client,
-    ):
+    with requests_to(folder, RULES, OPERATOR, tiles=tiles, area=area_of(tiles, folder / "tiles")) as (client, _):
         yield client
 
 
