@@ -1,7 +1,9 @@
 """The pages: files, pages and sections that they name exist, and none but a reference is long."""
 
 import re
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -43,28 +45,22 @@ def anchors(page: Path) -> set[str]:
     return {name.replace(" ", "-") for name in plain if name.isascii() and not re.search(r"[\s-]{2}", name)}
 
 
-def test_files_and_folders_that_the_pages_name_exist() -> None:
-    named = {(page, path) for page in PAGES for path in PATH.findall(page.read_text(encoding="utf-8"))}
-    assert len(named) > 100
-    missing = [f"{page.relative_to(ROOT)}: {path}" for page, path in sorted(named) if not (ROOT / path).exists()]
-    assert not missing, "\n".join(missing)
-
-
-def test_links_between_the_pages_lead_somewhere() -> None:
-    links = {(page, link) for page in PAGES for link in LINK.findall(page.read_text(encoding="utf-8"))}
-    assert len(links) > 20
-    missing = [f"{page.relative_to(ROOT)}: {link}" for page, link in sorted(links) if not (page.parent / link).exists()]
-    assert not missing, "\n".join(missing)
-
-
-def test_sections_that_links_name_are_there() -> None:
-    links = {(page, *link) for page in PAGES for link in ANCHOR.findall(page.read_text(encoding="utf-8"))}
-    assert len(links) > 10
-    missing = [
-        f"{page.relative_to(ROOT)}: {file}#{anchor}"
-        for page, file, anchor in sorted(links)
-        if anchor not in anchors(page.parent / file if file else page)
-    ]
+@pytest.mark.parametrize(
+    ("pattern", "least", "is_there"),
+    [
+        pytest.param(PATH, 100, lambda _, path: (ROOT / path).exists(), id="files and folders"),
+        pytest.param(LINK, 20, lambda page, link: (page.parent / link).exists(), id="pages by links"),
+        pytest.param(
+            ANCHOR, 10, lambda page, link: link[1] in anchors(page.parent / link[0] if link[0] else page), id="sections"
+        ),
+    ],
+)
+def test_what_the_pages_name_is_there(
+    pattern: re.Pattern[str], least: int, is_there: Callable[[Path, Any], bool]
+) -> None:
+    named = {(page, found) for page in PAGES for found in pattern.findall(page.read_text(encoding="utf-8"))}
+    assert len(named) > least
+    missing = [f"{page.relative_to(ROOT)}: {found}" for page, found in sorted(named) if not is_there(page, found)]
     assert not missing, "\n".join(missing)
 
 

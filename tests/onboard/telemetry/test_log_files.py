@@ -20,6 +20,7 @@ from onboard.telemetry.log_formats import READ, table
 from onboard.telemetry.read_options import ReadOptions
 from onboard.telemetry.telemetry_log import TelemetryLog, quaternion
 from tests.onboard.telemetry import log_writers
+from tests.onboard.telemetry.log_events import of
 from tests.onboard.telemetry.log_writers import (
     ABOVE_M,
     BOOT_S,
@@ -38,7 +39,6 @@ from tests.onboard.telemetry.log_writers import (
     ulog,
     written,
 )  # fmt: skip
-from tests.onboard.telemetry.reading import of
 
 pytestmark = pytest.mark.xdist_group("log files")  # one worker: what they share is made once
 

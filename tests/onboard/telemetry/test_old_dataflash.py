@@ -14,6 +14,7 @@ from contract.errors import InputError
 from contract.rotations import matrix_from_quaternion
 from onboard.events.types import Attitude, FilterStatus, GpsQuality, PositionFix
 from onboard.telemetry.log_files import read_log
+from tests.onboard.telemetry.log_events import of
 from tests.onboard.telemetry.log_writers import (
     ABOVE_M,
     BOOT_S,
@@ -26,7 +27,6 @@ from tests.onboard.telemetry.log_writers import (
     Moment,
     moments,
 )  # fmt: skip
-from tests.onboard.telemetry.reading import of
 
 T0_S = 1_412_000_000.0  # 2014-09-29, 16 leap seconds
 SCALE = {"c": 100, "C": 100, "e": 100, "E": 100, "L": 10_000_000}

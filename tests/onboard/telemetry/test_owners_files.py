@@ -11,7 +11,7 @@ from onboard.events.types import GpsQuality, PositionFix
 from onboard.telemetry.log_files import read_log
 from onboard.telemetry.read_options import ReadOptions
 from onboard.telemetry.telemetry_log import TelemetryLog
-from tests.onboard.telemetry.reading import of
+from tests.onboard.telemetry.log_events import of
 
 AIRDATA_HEAD = "time(millisecond),datetime(utc),latitude,longitude,height_above_takeoff(m),altitude_above_sealevel(m)\n"
 

@@ -13,9 +13,9 @@ from onboard.events.types import Attitude, GimbalAttitude, PositionFix
 from onboard.telemetry.log_files import read_log
 from onboard.telemetry.telemetry_log import TelemetryLog
 from onboard.telemetry.video_reader import has_telemetry
+from tests.onboard.telemetry.log_events import of
 from tests.onboard.telemetry.log_writers import ABOVE_M, HOME_M, METRES_A_DEGREE, SPEED, T0_S, Moment
 from tests.onboard.telemetry.picture_messages import FROM_NOSE_DEG, POSITION_HZ, RATE_HZ, SECONDS, snapshot, video
-from tests.onboard.telemetry.reading import of
 
 
 def read(tmp_path: Path, *contents: Any) -> TelemetryLog:

@@ -20,7 +20,7 @@ from onboard.telemetry.log_files import read_log
 from onboard.telemetry.telemetry_log import TelemetryLog
 from simulation.flight import RecordedSpec
 from simulation.session import SessionSpec
-from tests.onboard.telemetry.reading import of
+from tests.onboard.telemetry.log_events import of
 from tests.scenarios.flights import Outcome, _Sets, click, simulated
 
 pytestmark = pytest.mark.xdist_group("plane log")  # one worker: what they share is made once

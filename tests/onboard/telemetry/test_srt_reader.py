@@ -11,8 +11,8 @@ from onboard.telemetry.log_files import read_log
 from onboard.telemetry.read_options import ReadOptions
 from onboard.telemetry.srt_axis_order import Order
 from onboard.telemetry.telemetry_log import TelemetryLog
+from tests.onboard.telemetry.log_events import of
 from tests.onboard.telemetry.log_writers import written
-from tests.onboard.telemetry.reading import of
 
 METRES_A_DEGREE = 111_320.0
 

@@ -17,7 +17,7 @@ from onboard.telemetry.read_options import ReadOptions
 from onboard.telemetry.telemetry_log import TelemetryLog
 from onboard.telemetry.transport_stream import has_metadata, metadata_of
 from tests.onboard.telemetry import log_writers as w
-from tests.onboard.telemetry.reading import of
+from tests.onboard.telemetry.log_events import of
 
 BEGAN_NS = round(w.T0_S * 1e9)
 

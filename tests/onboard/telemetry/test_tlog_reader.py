@@ -16,7 +16,7 @@ from onboard.events.types import Attitude, GpsQuality, PositionFix
 from onboard.telemetry.log_files import read_log
 from onboard.telemetry.read_options import ReadOptions
 from onboard.telemetry.tlog_reader import read_tlog
-from tests.onboard.telemetry.reading import of
+from tests.onboard.telemetry.log_events import of
 from tests.recorded_logs import recorded
 
 T0_US = 1_795_217_000_000_000

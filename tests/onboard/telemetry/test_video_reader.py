@@ -17,8 +17,8 @@ from onboard.telemetry.mp4_container import first_picture_s
 from onboard.telemetry.telemetry_log import TelemetryLog, quaternion
 from tests.bench.image.host import install
 from tests.left_out import NO_PROGRAM
+from tests.onboard.telemetry.log_events import of
 from tests.onboard.telemetry.log_writers import box, gpmf, mp4, track
-from tests.onboard.telemetry.reading import of
 
 BEGAN_NS = 1_780_308_000 * 10**9  # 2026-06-01 10:00:00
 SUBTITLE = "2026-06-01 10:00:0{0}.000 [latitude: 47.10000{0}] [longitude: 8.2] [rel_alt: 30.1 abs_alt: 501.3]"
