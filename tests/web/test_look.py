@@ -179,9 +179,7 @@ def states(operator: Operator, words: str) -> None:
     )
 
 
-def test_the_place_is_confirmed_before_the_camera_turns_and_everybody_sees_it(
-    flying: Flying,
-) -> None:
+def test_the_place_is_confirmed_before_the_camera_turns_and_everybody_sees_it(flying: Flying) -> None:
     flight, anna = flying(**seat("pointer"))
     page, source = anna.page, flight.source
     assert "90 % within" in anna.click(400.0, 300.0)
@@ -212,9 +210,7 @@ def test_the_place_is_confirmed_before_the_camera_turns_and_everybody_sees_it(
     anna.by("look-ahead").wait_for(state="detached")  # nothing is left to be ended
 
 
-def test_the_aircraft_circles_only_once_place_height_and_radius_are_confirmed_as_well(
-    flying: Flying,
-) -> None:
+def test_the_aircraft_circles_only_once_place_height_and_radius_are_confirmed_as_well(flying: Flying) -> None:
     flight, anna = flying(**seat("pointer"))
     page, source = anna.page, flight.source
     source.may_circle = True

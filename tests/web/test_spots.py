@@ -118,9 +118,7 @@ _LISTEN = """() => { window.tones = 0; const start = OscillatorNode.prototype.st
   OscillatorNode.prototype.start = function (...a) { window.tones += 1; return start.apply(this, a); }; }"""
 
 
-def test_a_find_alarms_is_confirmed_or_dismissed_and_the_sound_can_be_muted(
-    flying: Flying,
-) -> None:
+def test_a_find_alarms_is_confirmed_or_dismissed_and_the_sound_can_be_muted(flying: Flying) -> None:
     flight, anna = flying()
     page = anna.page
     page.evaluate(_LISTEN)

@@ -252,9 +252,7 @@ def test_the_ninth_is_refused_and_the_key_asks_too(flying: Flying) -> None:
     assert "eight things are followed" in anna.by("answer").inner_text()
 
 
-def test_nothing_is_offered_to_be_followed_where_the_aircraft_does_not_and_the_key_states_why(
-    flying: Flying,
-) -> None:
+def test_nothing_is_offered_to_be_followed_where_the_aircraft_does_not_and_the_key_states_why(flying: Flying) -> None:
     flight, anna = flying(has_map=False)
     flight.source.why_unfollowed = "uav-1 does not follow things"
     anna.open()
