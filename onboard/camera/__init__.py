@@ -13,7 +13,7 @@ Public:
 - `photo_metadata`: `Focal`, `PhotoMetadata`, `read_photo`
 - `picture_files`: `FrameSource`, `PICTURE_SUFFIXES`, `Video`, `open_frames`, `read_grey`
 - `picture_mask`: `read_mask`
-- `playback`: `PREFIX`
+- `playback`: `PREFIX`, `PlayedCamera`
 - `pixel_formats`: `DECODERS`, `UNDECODABLE`
 - `rig_bands`: `one_band`
 - `video_times`: `frame_times_s`, `rate_text`

@@ -2,11 +2,13 @@
 
 For tests and benches without a camera. Where stamps lie ahead on the session's clock, those pictures come at their own
 stamps and the earlier ones are gone, so that an autopilot played at the same time stays in step, even over a restart.
-Otherwise the first comes at once and the others as long after it as they were taken.
+Otherwise the first comes at once and the others as long after it as they were taken; where a log is played with them
+they begin when that does, in step with it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,6 +21,8 @@ from onboard.events.source import Emit, SourceStatus, State, Stop
 
 PREFIX = "replay:"
 STAMPS = "stamps.csv"
+LOOK_S = 0.05
+"""The time between two looks at whether the log plays, s."""
 
 
 class PlayedCamera:
@@ -37,11 +41,17 @@ class PlayedCamera:
         stamps = next_to_it[0] if next_to_it else None
         self._source = open_frames(self._path, camera, stamps, latency_s, is_thermal=thermal.enabled)
         self._health = SourceStatus(State.STARTING, "not playing yet")
+        self.log_shift_ns: Callable[[], int | None] | None = None
+        """The session's clock less the pictures', ns, as the log has it that is played with them, once it plays."""
+
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """The capture times of the first and the last picture, by their own clock, ns."""
+        return self._source.stamps_ns[0], self._source.stamps_ns[-1]
 
     def run(self, emit: Emit, stop: Stop) -> None:
         """Play once, then be a lost camera until `stop`."""
-        stamps_ns, now_ns = self._source.stamps_ns, self._clock.now_ns()
-        shift_ns = 0 if stamps_ns[-1] > now_ns else now_ns - stamps_ns[0]
+        shift_ns = self._shift_ns(stop)
         first_ns, shown = 0, 0
         try:
             for frame in self._source.frames():
@@ -60,6 +70,16 @@ class PlayedCamera:
         else:
             self._health = SourceStatus(State.LOST, f"{self._path} has been played to its end")
         stop.wait()
+
+    def _shift_ns(self, stop: Stop) -> int:
+        if self.log_shift_ns is not None:
+            while (shift_ns := self.log_shift_ns()) is None:
+                if stop.wait(LOOK_S):
+                    return 0
+            return shift_ns
+        begin_ns, end_ns = self.span_ns
+        now_ns = self._clock.now_ns()
+        return 0 if end_ns > now_ns else now_ns - begin_ns
 
     def health(self) -> SourceStatus:
         """STARTING, OK while pictures come, LOST after the last."""

@@ -26,6 +26,7 @@ from contract.topics import SPOTS, STATUS, TRACKS
 from contract.vehicle_status import encode_status
 from onboard.camera.factory import open_camera, open_second_camera
 from onboard.camera.picture_mask import read_mask
+from onboard.camera.playback import PlayedCamera
 from onboard.config.files import load_camera, load_config_files, load_second_camera, state_folder
 from onboard.config.recorded import recorded_toml
 from onboard.config.schema import Config
@@ -58,6 +59,7 @@ from onboard.storage.session_number import next_session
 from onboard.telemetry.factory import open_telemetry
 from onboard.telemetry.mavlink_passage import SIGNATURE_BYTES
 from onboard.telemetry.pointing import Pointing
+from onboard.telemetry.tlog_playback import PlayedTelemetry
 
 LEAST_FOR_PICTURES = 10_000.0  # bit/s: a picture of a kilobyte a second
 
@@ -151,7 +153,7 @@ def open_parts(config: Config, clock: SessionClock | None = None, open_camera: O
             reporters.append(server.show)
         parts = Parts(
             clock=clock,
-            camera=open_camera(config, camera, clock),
+            camera=in_step(open_camera(config, camera, clock), telemetry),
             telemetry=telemetry,
             pipeline=pipeline,
             thermal_camera=None if second is None else second.source,
@@ -168,6 +170,14 @@ def open_parts(config: Config, clock: SessionClock | None = None, open_camera: O
     began = datetime.fromtimestamp(clock.now_ns() / 1e9, UTC).strftime("%Y-%m-%d %H:%M:%S")
     log.info("session of %s begins, %s UTC by the host's clock", config.vehicle.id, began)
     return parts
+
+
+def in_step(camera: Source, telemetry: TelemetrySource) -> Source:
+    """Return the camera; recorded pictures and a log, where both are played, will come as they are stamped."""
+    if isinstance(camera, PlayedCamera) and isinstance(telemetry, PlayedTelemetry):
+        telemetry.pictures_ns = camera.span_ns
+        camera.log_shift_ns = lambda: telemetry.shift_ns
+    return camera
 
 
 def _begun(

@@ -18,6 +18,7 @@ Public:
 - `row_events`: `SIGMA_GEOID_M`, `SIGMA_PRESSURE_HEIGHT_M`
 - `srt_axis_order`: `Order`
 - `telemetry_log`: `MAX_GAP_S`, `NS_PER_S`, `TelemetryLog`, `quaternion`, `vouched`
+- `tlog_playback`: `PlayedTelemetry`
 - `transport_stream`: `has_metadata`
 - `two_logs`: `loosened`
 - `video_reader`: `has_telemetry`, `other_telemetry`

@@ -9,10 +9,15 @@ from PIL import Image
 from contract.camera import Camera
 from contract.errors import InputError
 from onboard.camera.playback import PlayedCamera
+from onboard.commands.run import in_step
+from onboard.config.schema import parse_config
 from onboard.events.session_clock import SessionClock
 from onboard.events.source import State
 from onboard.events.types import Event, Frame
+from onboard.telemetry.tlog_playback import PlayedTelemetry
+from onboard.telemetry.tlog_reader import log_messages
 
+TLOG = Path(__file__).parents[2] / "data" / "plane_turn.tlog"
 CAMERA = Camera.from_field_of_view(64, 48, 40.0)
 
 
@@ -41,6 +46,20 @@ class Time(SessionClock):
     def wait(self, timeout: float | None = None) -> bool:
         self.at_ns += round((timeout or 0.0) * 1e9)
         return timeout is None
+
+
+class Ending:
+    """An event that is set once a clock has been moved on by three seconds."""
+
+    def __init__(self, clock: Time) -> None:
+        self._clock, self._end_ns = clock, clock.now_ns() + 3_000_000_000
+
+    def is_set(self) -> bool:
+        return self._clock.now_ns() > self._end_ns
+
+    def wait(self, timeout: float | None = None) -> bool:
+        self._clock.wait(timeout)
+        return self.is_set()
 
 
 def played(where: Path, clock: Time) -> tuple[PlayedCamera, list[tuple[int, Frame]]]:
@@ -82,3 +101,29 @@ def test_pictures_ahead_come_at_their_own_stamps_and_those_gone_by_do_not(tmp_pa
 def test_what_cannot_be_played_is_refused_at_once(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no picture"):
         PlayedCamera(tmp_path, CAMERA, SessionClock.start())
+
+
+@pytest.mark.parametrize("begin_s", [20.0, -0.25])
+def test_pictures_and_a_log_that_are_played_together_are_in_step(tmp_path: Path, begin_s: float) -> None:
+    """Pictures that begin within the log, or before it."""
+    messages, _ = log_messages(TLOG)
+    logged_ns, clock = messages[0][0], Time()
+    camera = PlayedCamera(folder(tmp_path, logged_ns / 1e9 + begin_s), CAMERA, clock)
+    telemetry = PlayedTelemetry(parse_config(""), clock, TLOG)
+    in_step(camera, telemetry)
+    now_ns, arrivals_ns, frames = clock.now_ns(), list[int](), list[Frame]()
+    telemetry.run(lambda arrival_ns, _: arrivals_ns.append(arrival_ns), Ending(clock))
+    camera.run(lambda _, event: frames.append(event), clock)  # type: ignore[arg-type]
+    assert frames[0].stamp_ns == pytest.approx(now_ns, abs=1e3)
+    shift_ns = now_ns - logged_ns - begin_s * 1e9
+    assert telemetry.shift_ns == pytest.approx(shift_ns, abs=1e3)
+    assert arrivals_ns and {at_ns - telemetry.shift_ns for at_ns in arrivals_ns} <= {at_ns for at_ns, _ in messages}
+
+
+@pytest.mark.parametrize(("begin_s", "words"), [(-600.0, "begins 599.6 s after the last"), (1e5, "before the first")])
+def test_a_log_of_another_time_than_the_pictures_is_refused(tmp_path: Path, begin_s: float, words: str) -> None:
+    messages, _ = log_messages(TLOG)
+    telemetry = PlayedTelemetry(parse_config(""), Time(), TLOG)
+    in_step(PlayedCamera(folder(tmp_path, messages[0][0] / 1e9 + begin_s), CAMERA, Time()), telemetry)
+    with pytest.raises(InputError, match=words):
+        telemetry.run(lambda *_: None, Time())
