@@ -252,7 +252,7 @@ def test_a_pin_that_a_system_does_not_reach_does_not_cost_the_others_theirs(caps
 
 
 def test_degrees_of_another_system_are_as_precise_in_every_file() -> None:
-    """Those of KML and GPX had six decimals, which are 0.1 m."""
+    """KML and GPX had six decimals, which are 0.1 m."""
     mark = Mark("m", "m", "ok", lat_deg=-43.380123456, lon_deg=172.400123456)
     assert all(write([mark], Projection("EPSG:4167")).count("172.4001234") == 2 for write in (kml.write, gpx.write))
 

@@ -78,7 +78,7 @@ def test_a_polygon_within_the_hole_of_another_is_there(tmp_path: Path) -> None:
 def test_a_sector_has_its_own_name_and_never_another_s(
     tmp_path: Path, properties: list[dict[str, object]], names: list[str]
 ) -> None:
-    """Of sectors that CalTopo calls 2 and 1 the first was stated as sector 1."""
+    """The first of two sectors that CalTopo calls 2 and 1 was stated as sector 1."""
     features = [{"type": "Feature", "properties": p, "geometry": polygon(FIRST)} for p in properties]
     path = tmp_path / "sectors.geojson"
     path.write_text(json.dumps({"type": "FeatureCollection", "features": features}))

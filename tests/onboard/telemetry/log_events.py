@@ -1,4 +1,4 @@
-"""What a log was read as."""
+"""A log as it was read."""
 
 from typing import Any
 
