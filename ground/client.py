@@ -408,6 +408,7 @@ class SetCache(Closing):
 
     def _renew_if_silent(self) -> None:
         """Begin again after a long time without messages: over udp a subscription that was lost is never sent again.
+
         Raises LinkError, and is called again.
         """
         self._ask_doubtful()

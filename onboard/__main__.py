@@ -474,8 +474,8 @@ def _command(arguments: argparse.Namespace) -> Callable[[argparse.Namespace], in
     and what another command needs may not be installed.
     """
     name = arguments.command.replace("-", "_")
-    if name in ("serve", "replay"):
-        return run_serve if name == "serve" else run_replay
+    if name in (here := {"serve": run_serve, "replay": run_replay}):
+        return here[name]
     if name == "calibrate":
         name += "_in_flight" if arguments.from_session is not None else "_zoom" if arguments.zoom else ""
     run: Callable[[argparse.Namespace], int] = importlib.import_module(f"onboard.commands.{name}").run

@@ -128,7 +128,7 @@ def run(args: argparse.Namespace) -> int:
         shown = 0
         while args.count is None or shown < args.count:
             time.sleep(args.period)
-            rows = []
+            rows, link_amiss = [], cache.link_error or cache.unreached
             for name in sorted({*cache.vehicles, *received.states}):
                 reply = cache.reply(name)
                 newest = None
@@ -140,14 +140,13 @@ def run(args: argparse.Namespace) -> int:
                 age_s, rate_hz, doubt = cache.age_s(name), received.rate_hz(name), cache.doubt(name)
                 if age_s is None and state is not None and (when := stamped_elsewhen(state.unix_s, time.time())):
                     doubt = f"the status is {when}: it is old, or a clock is wrong"
-                amiss = "; ".join(text for text in (doubt, cache.link_error or cache.unreached) if text)
+                amiss = "; ".join(text for text in (doubt, link_amiss) if text)
                 silent_s = received.silent_s(name)
                 silence = _Silence(received.set_silent_s(name), silent_s)
                 row = _row(name, newest, state, age_s, rate_hz, amiss, cache.is_certain(name), silence)
                 rows.append(_reporting(row, newest, state, silent_s))
             if not rows and not args.json:
-                why = cache.link_error or cache.unreached
-                print(f"nothing received yet{f': {why}' if why else ''}", file=sys.stderr)
+                print(f"nothing received yet{f': {link_amiss}' if link_amiss else ''}", file=sys.stderr)
             _show(rows, tracks.newest(cache.stamped_ago_s), found, args.json, is_screen)
             warnings.show(cache.dropped.lines(), always=is_screen)
             shown += 1

@@ -247,6 +247,11 @@ def library(name: str) -> Any:
         raise InputError(f"this needs the package {name}: install pointclick with its extra [geo] (README)") from error
 
 
+def projected(mark: Mark, grid: Grid | None) -> Projected | None:
+    """A mark's place in another system; None without one, without a position, and where the system does not reach."""
+    return grid.found(mark) if grid is not None and mark.is_placed else None
+
+
 def shape_values(mark: Mark, grid: Grid | None) -> dict[str, object]:
     """A mark's ellipse and its place in another system, by name; empty if it has none."""
     values: dict[str, object] = {}
@@ -254,7 +259,7 @@ def shape_values(mark: Mark, grid: Grid | None) -> dict[str, object]:
         e = mark.ellipse
         values |= {"semi_major_m": figure(e.semi_major_m), "semi_minor_m": figure(e.semi_minor_m)}
         values["azimuth_deg"] = f"{e.azimuth_deg:.2f}"
-    if grid is not None and mark.is_placed and (p := grid.found(mark)) is not None:
+    if (p := projected(mark, grid)) is not None:
         values |= {"crs": p.crs, "x": coordinate(p, p.x), "y": coordinate(p, p.y)}
     return values
 

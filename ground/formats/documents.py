@@ -13,7 +13,7 @@ from pathlib import Path
 
 from contract.errors import InputError
 from ground.formats import cot, geojson, gpx, kml, table
-from ground.formats.coordinates import Grid, has_utm, latlon_text, mgrs_text, utm_text
+from ground.formats.coordinates import Grid, has_utm, latlon_text, mgrs_text, projected, utm_text
 from ground.formats.imported import Imported
 from ground.formats.mark import Mark
 from ground.formats.rounded import rounded_text
@@ -35,14 +35,14 @@ class Format:
 
 def text_line(mark: Mark, grid: Grid | None = None) -> str:
     """The mark in a line for people."""
+    p = projected(mark, grid)
     if mark.answer is not None and mark.is_placed:
         rest = mark.answer.to_text()
-        p = None if grid is None else grid.found(mark)
         return rest if p is None else f"{p.text}  {p.crs} {rest.partition('  ')[2]}"
     if mark.answer is not None:
         return mark.answer.to_text()
     where = rounded_text("degrees", *mark.position, mark.ce90_m) if mark.is_placed else "-"
-    if grid is not None and mark.is_placed and (p := grid.found(mark)) is not None:
+    if p is not None:
         where = f"{p.text}  {p.crs}"
     name = one_line(mark.name)
     words = (mark.number_text or "-", mark.category, name or "(no name)", where, mark.accuracy_text, mark.time_text)
@@ -70,7 +70,7 @@ def json_line(mark: Mark, grid: Grid | None = None) -> str:
                 "time_utc": mark.time_text or None, "clicks": mark.clicks, "ties": mark.tied, "id": mark.id,
             }
         )  # fmt: skip
-    p = grid.found(mark) if grid is not None and mark.is_placed else None
+    p = projected(mark, grid)
     if p is None:
         return base
     digits = 9 if p.is_degrees else 3

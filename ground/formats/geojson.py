@@ -18,7 +18,7 @@ from contract.circular_error import CE90_SIGMAS, LE90_SIGMAS
 from contract.errors import InputError
 from contract.geodesy import within_180
 from contract.place_files import NAMES, NOTES, check_wgs84, worded
-from ground.formats.coordinates import Grid
+from ground.formats.coordinates import Grid, projected
 from ground.formats.imported import Imported, entered_pin
 from ground.formats.mark import Mark
 from ground.pins.model import Pin
@@ -77,7 +77,7 @@ def feature(mark: Mark, grid: Grid | None = None) -> dict[str, Any]:
         "clicks": mark.clicks,
         "ties": mark.tied,
     }
-    if grid is not None and mark.is_placed and (p := grid.found(mark)) is not None:
+    if (p := projected(mark, grid)) is not None:
         properties |= {"crs": p.crs, "x": p.x, "y": p.y, "x_name": p.x_name, "y_name": p.y_name}
     return {"type": "Feature", "id": mark.id, "geometry": geometry, "properties": properties}
 

@@ -15,7 +15,7 @@ from functools import partial
 from contract.circular_error import CE90_SIGMAS, LE90_SIGMAS
 from contract.errors import InputError
 from ground.formats.coordinate_text import read_coordinate
-from ground.formats.coordinates import Grid, coordinate
+from ground.formats.coordinates import Grid, coordinate, projected
 from ground.formats.imported import Imported, entered_pin
 from ground.formats.mark import Mark
 from ground.formats.split_columns import HALVES, SplitColumns
@@ -57,7 +57,7 @@ def row(mark: Mark, grid: Grid | None = None) -> str:
         safe(mark.reason), safe(mark.id),
     ]  # fmt: skip
     if grid is not None:
-        p = grid.found(mark) if mark.is_placed else None
+        p = projected(mark, grid)
         cells += ["", "", ""] if p is None else [safe(p.crs), coordinate(p, p.x), coordinate(p, p.y)]
     return _line(cells)
 
@@ -165,7 +165,7 @@ def _check_agree(cells: Sequence[str], columns: Mapping[str, Sequence[int]]) -> 
     """Raise InputError for a row with two latitudes or longitudes that differ: which of them is meant is not known."""
     for half, word in zip(HALVES, ("latitude", "longitude"), strict=True):
         texts = {cells[k].strip() for k in columns[half] if k < len(cells)} - {""}
-        if len(texts) > 1 and len({_as_number(text) for text in texts}) > 1:
+        if len({_as_number(text) for text in texts}) > 1:
             raise InputError(f"has two {word}s that differ: leave one of them")
 
 

@@ -52,6 +52,8 @@ class PlayedCamera:
     def run(self, emit: Emit, stop: Stop) -> None:
         """Play once, then be a lost camera until `stop`."""
         shift_ns = self._shift_ns(stop)
+        if shift_ns is None:
+            return
         first_ns, shown = 0, 0
         try:
             for frame in self._source.frames():
@@ -71,11 +73,12 @@ class PlayedCamera:
             self._health = SourceStatus(State.LOST, f"{self._path} has been played to its end")
         stop.wait()
 
-    def _shift_ns(self, stop: Stop) -> int:
+    def _shift_ns(self, stop: Stop) -> int | None:
+        """Return the session's clock less the pictures', ns; None where `stop` came before the log began."""
         if self.log_shift_ns is not None:
             while (shift_ns := self.log_shift_ns()) is None:
                 if stop.wait(LOOK_S):
-                    return 0
+                    return None
             return shift_ns
         begin_ns, end_ns = self.span_ns
         now_ns = self._clock.now_ns()

@@ -218,23 +218,23 @@ def _with_open_rows(window: WindowProblem, noise: Noise, solution: Solution) -> 
 
 def zoomed(optics: OpenOptics) -> Explanation:
     """A focal length of each picture's own; the first picture's is fixed."""
-    tried = optics.window.with_block(ZOOM)
-    start, freedom = optics.solution.state.with_block(tried.layout, ZOOM), OWN_STATES[ZOOM] * (optics.pictures - 1)
-    return Explanation(ZOOM, tried, optics.noise, start, freedom)
+    return _of_each(optics, optics.window.with_block(ZOOM), ZOOM, optics.pictures - 1)
 
 
 def stretched(optics: OpenOptics) -> Explanation:
     """A width of each picture's own, against its height."""
-    tried = optics.window.with_block(STRETCH)
-    start, freedom = optics.solution.state.with_block(tried.layout, STRETCH), OWN_STATES[STRETCH] * optics.pictures
-    return Explanation(STRETCH, tried, optics.noise, start, freedom)
+    return _of_each(optics, optics.window.with_block(STRETCH), STRETCH, optics.pictures)
 
 
 def read_longer(optics: OpenOptics) -> Explanation:
     """A readout of each picture's own, beyond the one that is known."""
-    tried = optics.window.with_readout()
-    start, freedom = optics.solution.state.with_block(tried.layout, READ), OWN_STATES[READ] * optics.pictures
-    return Explanation(READ, tried, optics.noise, start, freedom)
+    return _of_each(optics, optics.window.with_readout(), READ, optics.pictures)
+
+
+def _of_each(optics: OpenOptics, tried: WindowProblem, block: str, free: int) -> Explanation:
+    """An image block, the last of a window, of each picture's own, free in so many of them."""
+    start = optics.solution.state.with_block(tried.layout, block)
+    return Explanation(block, tried, optics.noise, start, OWN_STATES[block] * free)
 
 
 def attitude_aside(optics: OpenOptics, start: State | None = None) -> Explanation:

@@ -171,9 +171,7 @@ def _is_likeliest(weighed: Weighed, has_attitude: bool) -> bool:
 
 def signs_of(weighed: Weighed) -> Signs:
     """The signs that a window's first solve shows, by the first step of a zoom and a stretch of each picture."""
-    tried, state = weighed.window.with_readout(), weighed.solution.state
-    for block in (READ, ZOOM, STRETCH):
-        tried = tried.with_block(block)
+    tried, state = weighed.window.with_readout().with_block(ZOOM).with_block(STRETCH), weighed.solution.state
     state = replace(state, own=np.pad(state.own, ((0, 0), (0, tried.layout.own - state.own.shape[1]))))
     priors = [replace(p, layout=tried.layout) for p in weighed.problem.priors]
     opened = replace(weighed.problem, layout=tried.layout, priors=priors, sweep=tried.unweighed.sweep)

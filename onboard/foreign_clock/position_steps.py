@@ -98,9 +98,8 @@ def _fill(out: Intervals, spanned: range, way: complex, turn: complex, warp: flo
     left, axes = way * turned, own  # in the axes of the interval's own first picture
     for k in spanned[at + 1 - spanned.start :]:
         left, axes = left - out.way[k] / axes, axes * out.turn[k]
-    variance = (
-        warp**2 + float(np.sum(out.warp[others] ** 2)) + MATCH**2 * len(others)
-    )  # the relief is the same ground's
+    # The relief is the same ground's: it is not added again.
+    variance = warp**2 + float(np.sum(out.warp[others] ** 2)) + MATCH**2 * len(others)
     out.way[at], out.turn[at], out.warp[at] = left, own, np.sqrt(variance)
 
 

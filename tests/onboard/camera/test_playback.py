@@ -1,5 +1,6 @@
 """A camera that is a folder: pictures when they are due, and lost when they are over."""
 
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -127,3 +128,11 @@ def test_a_log_of_another_time_than_the_pictures_is_refused(tmp_path: Path, begi
     in_step(PlayedCamera(folder(tmp_path, messages[0][0] / 1e9 + begin_s), CAMERA, Time()), telemetry)
     with pytest.raises(InputError, match=words):
         telemetry.run(lambda *_: None, Time())
+
+
+def test_pictures_that_wait_for_a_log_end_unread_when_asked_to(tmp_path: Path) -> None:
+    camera, stop = PlayedCamera(folder(tmp_path, 1_600_000_000.0), CAMERA, SessionClock.start()), threading.Event()
+    camera.log_shift_ns = lambda: None
+    stop.set()
+    camera.run(lambda *_: pytest.fail("a picture came"), stop)
+    assert camera.health().state is State.STARTING
