@@ -227,7 +227,7 @@ def _add_imports(commands: Commands) -> None:
 
 def _add_setup(setup: argparse.ArgumentParser) -> None:
     setup.add_argument(
-        "--out", type=Path, default=CONFIG, metavar="FILE", help=f"the configuration to write ({CONFIG})"
+        "--out", "--config", type=Path, default=CONFIG, metavar="FILE", help=f"the configuration to write ({CONFIG})"
     )
     setup.add_argument("--force", action="store_true", help="replace one that is there")
     setup.add_argument("--yes", action="store_true", help="ask nothing: take what is given, and what is found")

@@ -62,10 +62,12 @@ def is_coloured(stream: TextIO, environment: Mapping[str, str] = os.environ) -> 
 
 
 def text(lines: list[Line], coloured: bool, explained: bool = False) -> str:
-    """One line each; what is not well is marked in words too. `explained`: below it, what it means and what to do."""
+    """One line each: `ok`, `BAD`, or `--` where it waits for another. `explained`: below it, what it means and what to
+    do.
+    """
     out, width = [], max(len(line.name) for line in lines) + 1
     for line in lines:
-        mark = "ok " if line.is_good else "BAD"
+        mark = "ok " if line.is_good else "-- " if line.waits_for else "BAD"
         if coloured:
             mark = f"{GREEN if line.is_good else RED}{mark}{PLAIN}"
         out.append(f"{mark} {line.name:<{width}}{line.text}")

@@ -4,7 +4,8 @@ Two kinds of lines. Those of `vehicle_state.Subject` only show what the daemon i
 the doctor agree. The others compare what is seen with limits for take-off (rates, exposure, time sync, mount, disk),
 that are stricter than what a flight needs to continue. The same lines whether a running daemon was asked or
 `doctor` looked itself, which then knows only camera, telemetry and receiver. What is unknown
-is never good: what cannot be determined is reported as unknown, and counts as bad where a flight depends on it.
+is never good: what cannot be determined is reported as unknown, and counts as bad where a flight depends on it. Of one
+fault there is one bad line: what only the missing source could show waits for it.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from dataclasses import dataclass, replace
 from contract.camera import Camera
 from contract.wire.radio_state import LOWER_STREAMS
 from onboard.config.schema import Config
-from onboard.events.source import SourceStatus
+from onboard.events.source import SourceStatus, State
 from onboard.events.tunnel import RadioReport
 from onboard.pipeline.estimates import BORESIGHT, RELATIVE_VARIANCE, TIME_OFFSET, larger_than_declared, not_adopted
 from onboard.service.reports import Report
@@ -40,11 +41,15 @@ MAX_UNHEARD = 0.5  # of the questions answered
 
 @dataclass(frozen=True)
 class Line:
-    """A line of the report: the thing checked, whether it is well, and what was seen."""
+    """A line of the report: the thing checked, whether it is well, and what was seen.
+
+    `waits_for`: the line that has to be well before this one can be judged; empty if this one was.
+    """
 
     name: str
     is_good: bool
     text: str
+    waits_for: str = ""
 
 
 @dataclass(frozen=True)
@@ -62,6 +67,9 @@ class Surroundings:
 # The first can be judged without a daemon; the second have lines of their own.
 SEEN_ALONE = (Subject.CAMERA, Subject.TELEMETRY, Subject.GPS)
 OWN_LINES = (Subject.SENSORS, Subject.THERMAL_CAMERA)
+# What nothing can be known of while its source gives nothing: one fault is one bad line.
+SHOWN_BY = {"rate": "camera", "exposure": "camera", "rates": "telemetry", "time sync": "telemetry", "gps": "telemetry"}
+GIVES_NOTHING = (State.STARTING, State.LOST)
 
 
 def diagnose(config: Config, report: Report, around: Surroundings) -> list[Line]:
@@ -90,7 +98,17 @@ def diagnose(config: Config, report: Report, around: Surroundings) -> list[Line]
         _disk(config, around.free_mb),
         _processor(around.temperature_c),
     ]
+    lines = [_as_shown(line, report) for line in lines]
     return [_state_line(report), *lines] if around.is_running else lines
+
+
+def _as_shown(line: Line, report: Report) -> Line:
+    """Return a line, or that it cannot be judged yet: its source gives nothing, which is a bad line of its own."""
+    source = SHOWN_BY.get(line.name, "")
+    states = {"camera": report.camera.state, "telemetry": report.telemetry.state}
+    if line.is_good or states.get(source) not in GIVES_NOTHING:
+        return line
+    return replace(line, text=f"not known without {source}", waits_for=source)
 
 
 def _thermal(config: Config) -> Line:

@@ -391,7 +391,7 @@ def load_table(path: Path | str) -> tuple[dict[str, Any], Config]:
         table = parse_table(Path(path).read_bytes().decode("utf-8"))
         return table, validated(table)
     except FileNotFoundError as error:
-        raise ConfigError(f"{path}: {error.strerror}; write one (every key has a default) or name another") from error
+        raise ConfigError(f"{path}: {error.strerror}; pc-onboard setup writes one, or name another") from error
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}") from error
     except UnicodeDecodeError as error:

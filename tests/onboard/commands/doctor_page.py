@@ -21,6 +21,7 @@ from onboard.pipeline.estimates import (
 )
 from onboard.pipeline.summary import Contradiction, Estimate, LeftOut, SensorError
 from onboard.service.reports import Report
+from onboard.service.vehicle_state import source_findings
 from tests.onboard.service.reported import WELL as WELL_INPUTS
 from tests.onboard.service.reported import report_of
 
@@ -68,6 +69,10 @@ SECOND = configured(thermal=SecondCamera(device="/dev/video9", file="thermal.jso
 RADIO = CONFIG.model_copy(update={"link": CONFIG.link.model_copy(update={"mavlink": True})})
 FULL, LOW = RadioState(Held.BY_RADIO, 300.0, 22.0), RadioState(Held.BY_CONFIGURATION, 1200.0, 5.5)
 NMEA = Config.model_validate({"telemetry": {"url": "nmea:/dev/ttyUSB0:9600"}, "recording": {"enabled": False}})
+UNPLUGGED = SourceStatus(State.LOST, "/dev/video9: not there")
+SILENT = SourceStatus(State.STARTING, "no autopilot found yet")
+NO_CAMERA = replace(WELL, camera=UNPLUGGED, findings=source_findings(UNPLUGGED, WELL.telemetry), brightness=None)
+NO_AUTOPILOT = replace(WELL, telemetry=SILENT, findings=source_findings(WELL.camera, SILENT))
 RECEIVER = replace(
     WELL,
     gps=replace(GPS, sigma_horizontal_m=None, satellites=None),
@@ -86,6 +91,8 @@ CASES = [
     Case("ten pictures a second of thirty", judged(camera=SourceStatus(State.DEGRADED, "10 of 30 Hz"))),
     Case("a frozen camera", judged(camera=SourceStatus(State.FROZEN, "same again"))),
     Case("a silent autopilot", judged(telemetry=SourceStatus(State.LOST, "silent"))),
+    Case("no camera, without a daemon", NO_CAMERA, replace(AROUND, is_running=False)),
+    Case("no autopilot, without a daemon", NO_AUTOPILOT, replace(AROUND, is_running=False)),
     Case("a pipeline that is busy for 9 s", judged(busy_s=9.0)),
     Case("a position that is doubted", judged(outcome=Status.NO_GPS, position_fault="far from it")),
     Case("pictures that do not fit", judged(outcome=Status.POOR_FIT)),

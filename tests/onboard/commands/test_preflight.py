@@ -73,9 +73,13 @@ def test_a_budget_is_passed_on_as_it_is() -> None:
 
 
 def test_what_is_red_in_a_case_is_one_line_or_the_state_with_those_of_its_reason() -> None:
-    """So that each fault turns its own line red and no other's, whatever the transcript has."""
+    """So that each fault turns its own line red and no other's, whatever the transcript has: others wait for it."""
     red = {
-        case.what: [n for n, good in verdicts(case.report, case.around, case.config).items() if not good]
+        case.what: [
+            line.name
+            for line in diagnose(case.config, case.report, case.around)
+            if not line.is_good and not line.waits_for
+        ]
         for case in CASES
     }
     assert all(len(lines) <= 1 or (lines[0] == "state" and len(lines) <= 3) for lines in red.values()), red
