@@ -32,6 +32,7 @@ FILTERS = "pc/{vehicle}/filter"
 GIMBALS = "pc/{vehicle}/gimbal"
 RANGES = "pc/{vehicle}/range"
 ZOOMS = "pc/{vehicle}/zoom"
+HOMES = "pc/{vehicle}/home"
 GAPS = "pc/{vehicle}/gaps"
 # For viewers alone, as schemas that Foxglove supports.
 VIEW_VEHICLE = "pc/{vehicle}/view/vehicle"

@@ -144,23 +144,32 @@ def off_terrain(config: Config, terrain: Terrain | None, s: Solution, good: Mask
 
 
 def off_take_off(config: Config, terrain: Terrain, nav: NavState) -> str | None:
-    """Return by how much the ground that an aircraft stands on is off a terrain model: empty if not; None where it
-    flies, or nothing is known. (16.17)
+    """Return by how much the ground that an aircraft stands on, or stood on by what its autopilot states, is off a
+    terrain model: empty if not; None where neither is known. (16.17)
     """
-    gps, velocity, above_m = config.gps, nav.velocity_enu_m_s, nav.height_above_home_m
-    known_m = float(terrain.height_and_slope(nav.position_enu_m[None, :2])[0][0])
-    if above_m is None or velocity is None or not np.isfinite(known_m):
+    stood = _stands_on(config, nav)
+    stood = nav.home_enu_m if stood is None else stood
+    known_m = float("nan") if stood is None else float(terrain.height_and_slope(stood[None, :2])[0][0])
+    if stood is None or not np.isfinite(known_m):
         return None
-    if np.linalg.norm(np.nan_to_num(velocity)) > SURE_SIGMAS * gps.sigma_velocity_m_s:
-        return None
-    if abs(above_m) > SURE_SIGMAS * gps.sigma_correlated_vertical_m:
-        return None
-    below_m = float(nav.position_enu_m[2]) - above_m - known_m
+    below_m = float(stood[2]) - known_m
     sigmas_m = (nav.sigma_vertical_m, nav.sigma_datum_m, config.terrain.sigma_datum_m, config.terrain.sigma_m)
     sigma_m = float(np.linalg.norm(sigmas_m))
     if abs(below_m) <= IMPOSSIBLE_SIGMAS * sigma_m:
         return ""
     return f"ground off the terrain model: {below_m:+.0f} m at the take-off, sigma {sigma_m:.0f}"
+
+
+def _stands_on(config: Config, nav: NavState) -> Array | None:
+    """The ground (3,) below an aircraft that stands at the height of home; None where it flies, or nothing is known."""
+    gps, velocity, above_m = config.gps, nav.velocity_enu_m_s, nav.height_above_home_m
+    if above_m is None or velocity is None:
+        return None
+    if np.linalg.norm(np.nan_to_num(velocity)) > SURE_SIGMAS * gps.sigma_velocity_m_s:
+        return None
+    if abs(above_m) > SURE_SIGMAS * gps.sigma_correlated_vertical_m:
+        return None
+    return np.asarray(nav.position_enu_m - np.array([0.0, 0.0, above_m]), float)
 
 
 def _by_distance(config: Config, keyframes: Sequence[Keyframe], s: Solution, layout: Layout) -> str | None:

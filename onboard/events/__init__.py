@@ -10,7 +10,7 @@ Public:
 - `source`: `AircraftReport`, `Emit`, `Severity`, `Source`, `SourceStatus`, `State`, `Stop`,
   `TelemetrySource`
 - `tunnel`: `Peer`, `RadioReport`, `TunnelEnd`
-- `types`: `Attitude`, `Event`, `FilterStatus`, `Frame`, `GimbalAttitude`, `GpsQuality`, `NavEvent`, `PositionFix`,
-  `RangeFinder`, `Zoom`, `ZoomUnit`
+- `types`: `Attitude`, `Event`, `FilterStatus`, `Frame`, `GimbalAttitude`, `GpsQuality`, `Home`, `NavEvent`,
+  `PositionFix`, `RangeFinder`, `Zoom`, `ZoomUnit`
 - `waiting_pictures`: `WaitingPictures`
 """

@@ -111,6 +111,16 @@ class RangeFinder:
     sigma_m: float | None = None
 
 
+@dataclass(frozen=True)
+class Home:
+    """The place that the autopilot's heights above home count from, where it was armed: degrees, m above sea level."""
+
+    stamp_ns: int
+    lat_deg: float
+    lon_deg: float
+    height_amsl_m: float
+
+
 ZoomUnit = Literal["focal_px", "times", "percent", "hfov_deg"]  # the better first
 
 
@@ -130,5 +140,5 @@ class Zoom:
     is_of_picture: bool = False
 
 
-NavEvent = PositionFix | GpsQuality | Attitude | FilterStatus | GimbalAttitude | RangeFinder | Zoom
+NavEvent = PositionFix | GpsQuality | Attitude | FilterStatus | GimbalAttitude | RangeFinder | Zoom | Home
 Event = Frame | NavEvent

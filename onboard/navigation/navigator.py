@@ -24,6 +24,7 @@ from onboard.events.types import (
     FilterStatus,
     GimbalAttitude,
     GpsQuality,
+    Home,
     NavEvent,
     PositionFix,
     RangeFinder,
@@ -83,6 +84,7 @@ class NavState:
     sigma_velocity_m_s: float = 0.0  # of the velocity, as the receiver or the filter claims; 0: neither does
     joined: Joined = field(default_factory=Joined)  # from which positions
     path_velocity_enu_m_s: Array | None = None  # by the positions, where none is measured
+    home_enu_m: Array | None = None  # where it was armed, if the autopilot states that
 
     @property
     def motion_enu_m_s(self) -> Array:
@@ -114,11 +116,15 @@ class Navigation:
         self._attitudes = Attitudes(max_gap_s)
         self.gimbal = Gimbal(self.config, self._attitudes)
         self._ranges: Series[RangeFinder] = Series(max_gap_s)
+        self._home: Home | None = None
         self._integrity.forget()
 
     def add(self, event: NavEvent) -> None:
         """Take one event; events with a stamp already held are ignored, and so is what the lens does."""
         if isinstance(event, Zoom):
+            return
+        if isinstance(event, Home):
+            self._home = event
             return
         stamps_ns = {
             PositionFix: self._fixes.stamps_ns,
@@ -194,7 +200,7 @@ class Navigation:
             self._fixes.insert(fix.stamp_ns, fix)
             self._insert(fix)
 
-    def _enu(self, fix: PositionFix) -> Array:
+    def _enu(self, fix: PositionFix | Home) -> Array:
         assert self.frame is not None
         return self.frame.to_enu(fix.lat_deg, fix.lon_deg, fix.height_amsl_m)
 
@@ -309,6 +315,7 @@ class Navigation:
             self._integrity.velocity_claim_m_s(moment_ns),
             positions.joined_at(place_ns),
             None if position.velocity_enu_m_s is not None else positions.slope_at(place_ns, RECENT_NS // 2),
+            None if self._home is None else self._enu(self._home),
         )
 
     def was_accepted(self, start_ns: int, end_ns: int) -> bool:

@@ -19,6 +19,7 @@ from onboard.events.types import (
     Frame,
     GimbalAttitude,
     GpsQuality,
+    Home,
     NavEvent,
     PositionFix,
     RangeFinder,
@@ -34,6 +35,7 @@ CHANNELS: dict[type[Event], str] = {
     GimbalAttitude: names.GIMBALS,
     RangeFinder: names.RANGES,
     Zoom: names.ZOOMS,
+    Home: names.HOMES,
 }
 NAV_EVENTS: dict[str, type[NavEvent]] = {t: kind for kind, t in CHANNELS.items() if kind is not Frame}  # type: ignore[misc]
 

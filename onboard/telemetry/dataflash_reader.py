@@ -12,6 +12,7 @@ from __future__ import annotations
 import contextlib
 import io
 import math
+import tempfile
 from collections import defaultdict
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,7 +24,16 @@ from pymavlink import DFReader
 
 from contract.errors import InputError
 from onboard.clocks.boot_clock import Mode
-from onboard.events.types import Attitude, FilterStatus, GimbalAttitude, GpsQuality, NavEvent, PositionFix, RangeFinder
+from onboard.events.types import (
+    Attitude,
+    FilterStatus,
+    GimbalAttitude,
+    GpsQuality,
+    Home,
+    NavEvent,
+    PositionFix,
+    RangeFinder,
+)
 from onboard.telemetry.gps_time import LAG_S, METRES_A_DEGREE, GpsClock, receiver_lag_s, unix_ns_of_gps
 from onboard.telemetry.mavlink_events import FROZEN_GPS_NS, sensor_direction
 from onboard.telemetry.telemetry_log import TelemetryLog, interpolated, quaternions
@@ -43,6 +53,7 @@ FIELDS = {
     "MNT": ("Roll", "Pitch", "YawB"),
     "CAM": ("GWk",),
     "TRIG": ("GWk",),
+    "ORGN": ("Type", "Lat", "Lng", "Alt"),
 }
 # The earlier names of a field, in the order in which they are looked for.
 FORMERLY = {"GMS": ("GPSTimeMS", "TimeMS"), "GWk": ("Week",), "RelHomeAlt": ("RelAlt",)}
@@ -51,7 +62,12 @@ FAST, FAST_US = {"IMU", "KF1", "KF4"}, 3000  # may be logged at a loop's rate, o
 FAR_US = 5_000_000  # a stamp this far from its neighbours' is damaged
 MAX_ORIGIN_M = 15.0  # that the receiver's track may lie about the first filter's, where that one stands for POS
 REPORT_US = 200_000  # the filter's flags come at its own rate: passed on when they change, and this often
+MOST_DAMAGED, PADDING = (
+    100,
+    528,
+)  # headers that are mended in one log; bytes after its last message that may be anything
 GOOD_RANGE = 4  # RFND.Stat
+HOME = 1  # ORGN.Type; 0 is the filter's origin
 WITHOUT_FIX = 3  # GPS.Status below this one
 # nav_filter_status, the bits of XKF4.SS.
 POSITION_ABSOLUTE, POSITION_HELD, GLITCHING, INITIALISED = 1 << 4, 1 << 7, 1 << 14, 1 << 16
@@ -99,6 +115,7 @@ def read_dataflash(path: Path | str, clock: Mode = "auto") -> TelemetryLog:
         *_filter_statuses(tables["KF4"], gps_clock),
         *_gimbal(tables["MNT"], gps_clock),
         *_ranges(tables["RFND"], gps_clock),
+        *_homes(tables["ORGN"], gps_clock),
     ]
     if not any(isinstance(event, PositionFix) for event in events):
         raise InputError(f"telemetry {path}: no position in it (POS, or GPS with a 3D fix)")
@@ -113,7 +130,7 @@ def _tables(path: Path | str) -> dict[str, _Table]:
     # The library prints messages about damage; for unknown files it raises errors of many kinds.
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
         try:
-            with DFReader.DFReader_binary(str(path)) as log:
+            with _opened(path) as log:
                 filter_name = _filter_of(log)
                 kinds = {name: name for name in FIELDS if not name.startswith("KF")}
                 kinds |= {f"{filter_name}{name[2:]}": name for name in FIELDS if name.startswith("KF")}
@@ -139,6 +156,33 @@ def _tables(path: Path | str) -> dict[str, _Table]:
     if not rows["GPS"]:
         rows["GPS"] = rows[UNUSED]  # a blend of several, of which none counts as the one in use
     return {name: _table(rows[name], len(fields)) for name, fields in FIELDS.items()}
+
+
+def _opened(path: Path | str) -> Any:
+    """The log as the library reads it, which ends at the first kind of message that the log does not describe.
+
+    A damaged byte makes one: in a copy it is no header any more, and what comes after it is read too.
+    """
+    log, data = DFReader.DFReader_binary(str(path)), bytearray()
+    for _ in range(MOST_DAMAGED):
+        end = _end_of(log)
+        if log.data_len - end <= PADDING or log.data_map[end : end + len(MAGIC)] != MAGIC:
+            break
+        data = data or bytearray(log.data_map[:])
+        data[end] = 0
+        log.close()
+        with tempfile.NamedTemporaryFile() as mended:  # what is mapped stays readable without its name
+            mended.write(data)
+            mended.flush()
+            log = DFReader.DFReader_binary(mended.name)
+    return log
+
+
+def _end_of(log: Any) -> int:
+    """The end of the last message that the library knows of, bytes from the beginning."""
+    ends = ((int(held[-1]), kind) for kind, held in enumerate(log.offsets) if len(held))
+    last, kind = max(ends, default=(0, -1))
+    return last + int(log.formats[kind].len) if kind in log.formats else last
 
 
 def _filter_of(log: Any) -> str:
@@ -344,3 +388,11 @@ def _ranges(table: _Table, clock: GpsClock) -> list[NavEvent]:
         if direction is not None and state == GOOD_RANGE and distance_m > 0.0:
             out.append(RangeFinder(clock.to_unix_ns(us * 1000), distance_m, direction))
     return out
+
+
+def _homes(table: _Table, clock: GpsClock) -> list[NavEvent]:
+    return [
+        Home(clock.to_unix_ns(us * 1000), lat_deg, lon_deg, height_m)
+        for us, (kind, lat_deg, lon_deg, height_m) in zip(table.boot_us.tolist(), table.values.tolist(), strict=True)
+        if kind == HOME and math.isfinite(lat_deg + lon_deg + height_m) and (lat_deg, lon_deg) != (0.0, 0.0)
+    ]

@@ -15,6 +15,7 @@ from onboard.events.types import (
     FilterStatus,
     GimbalAttitude,
     GpsQuality,
+    Home,
     NavEvent,
     PositionFix,
     RangeFinder,
@@ -38,6 +39,7 @@ WANTED = {
     mavlink.MAVLINK_MSG_ID_CAMERA_SETTINGS,
     mavlink.MAVLINK_MSG_ID_CAMERA_FOV_STATUS,
     mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR,
+    mavlink.MAVLINK_MSG_ID_HOME_POSITION,
 }
 
 # A receiver whose own stamp stands still this long has stopped, whatever fix it still claims.
@@ -81,7 +83,7 @@ def boot_ns_of(message: Any) -> int | None:
     return None if boot_ms is None else int(boot_ms) * 1_000_000
 
 
-UNSTAMPED = {"GPS_RAW_INT", "EKF_STATUS_REPORT", "ESTIMATOR_STATUS"}
+UNSTAMPED = {"GPS_RAW_INT", "EKF_STATUS_REPORT", "ESTIMATOR_STATUS", "HOME_POSITION"}
 
 
 class MessageToEvent:
@@ -102,9 +104,11 @@ class MessageToEvent:
         name = message.get_type()
         event: NavEvent | None = None
         if name in UNSTAMPED:
-            # GPS_RAW_INT's stamp stands still with the receiver and the filters' reports have none to go by, so when
-            # they were sent is taken from the boot stamp before them.
+            # GPS_RAW_INT's stamp stands still with the receiver, and the filters' reports and the home have none to go
+            # by, so when they were sent is taken from the boot stamp before them.
             now_ns = arrival_ns if self._latest_boot_ns is None else to_host_ns(self._latest_boot_ns)
+            if name == "HOME_POSITION":
+                return _home(message, now_ns)
             if name != "GPS_RAW_INT":
                 return [_filter_status(message, now_ns)]
             fix = _receiver_position(message, now_ns, to_host_ns)
@@ -217,6 +221,13 @@ def _quaternion_from_euler(roll: float, pitch: float, yaw: float) -> tuple[float
         cr * sp * cy + sr * cp * sy,
         cr * cp * sy - sr * sp * cy,
     )
+
+
+def _home(message: Any, stamp_ns: int) -> list[NavEvent]:
+    lat_deg, lon_deg = message.latitude / 1e7, message.longitude / 1e7
+    if (lat_deg, lon_deg) == (0.0, 0.0) or abs(lat_deg) > 90.0 or abs(lon_deg) > 180.0:  # sent for nowhere
+        return []
+    return [Home(stamp_ns, lat_deg, lon_deg, message.altitude / 1000.0)]
 
 
 def _filter_status(message: Any, stamp_ns: int) -> FilterStatus:

@@ -39,6 +39,7 @@ GPS_HZ = 5.0
 GIMBAL_HZ = 20.0
 RANGE_HZ = 10.0
 BATTERY_HZ = 0.2  # 43 bytes each time, for people only
+HOME_HZ = 0.1  # it changes seldom; a terrain model is held against it
 SEVERAL = 4  # of a message are watched for before its rate is stated
 
 # Groups of REQUEST_DATA_STREAM that hold the messages, for autopilots that know nothing else.
@@ -158,6 +159,7 @@ class RateRequests:
             wants.append(_Want("GIMBAL_DEVICE_ATTITUDE_STATUS", _falling(GIMBAL_HZ, 10.0), is_needed=False))
         if self.config.range_finder.use:
             wants.append(_Want("DISTANCE_SENSOR", _falling(RANGE_HZ, 5.0)))
+        wants.append(_Want("HOME_POSITION", (HOME_HZ,), is_needed=False, is_spare=True))
         wants.append(_Want("SYS_STATUS", (BATTERY_HZ,), is_needed=False, is_spare=True))
         return wants
 

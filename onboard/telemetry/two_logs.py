@@ -23,6 +23,7 @@ from onboard.events.types import (
     FilterStatus,
     GimbalAttitude,
     GpsQuality,
+    Home,
     NavEvent,
     PositionFix,
     RangeFinder,
@@ -40,7 +41,7 @@ STILL_RAD = 1e-6  # angles that never change were not measured
 MOST_POSITIONS_S, MOST_CAMERA_S = 5.0, 2.0  # of the configuration's keys
 # What is taken from one log together; each with its name for people.
 SENSORS: tuple[tuple[str, tuple[type[NavEvent], ...]], ...] = (
-    ("positions", (PositionFix, GpsQuality, FilterStatus)),
+    ("positions", (PositionFix, GpsQuality, FilterStatus, Home)),
     ("attitude", (Attitude,)),
     ("gimbal", (GimbalAttitude,)),
     ("range", (RangeFinder,)),

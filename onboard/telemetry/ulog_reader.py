@@ -18,7 +18,16 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from contract.errors import InputError
 from onboard.clocks.boot_clock import Mode
-from onboard.events.types import Attitude, FilterStatus, GimbalAttitude, GpsQuality, NavEvent, PositionFix, RangeFinder
+from onboard.events.types import (
+    Attitude,
+    FilterStatus,
+    GimbalAttitude,
+    GpsQuality,
+    Home,
+    NavEvent,
+    PositionFix,
+    RangeFinder,
+)
 from onboard.telemetry.gps_time import GpsClock, receiver_lag_s
 from onboard.telemetry.mavlink_events import AT_REST, FROZEN_GPS_NS, GIMBAL_UNFIT, sensor_direction
 from onboard.telemetry.telemetry_log import TelemetryLog, interpolated
@@ -116,6 +125,7 @@ def read_ulog(path: Path | str, clock: Mode = "auto", boot_unix_s: float | None 
         *_filter_statuses(topics["estimator_status"], topics["vehicle_local_position"], gps_clock),
         *_gimbal(topics["gimbal_device_attitude_status"], gps_clock),
         *_ranges(topics["distance_sensor"], gps_clock),
+        *_homes(topics["home_position"], gps_clock),
     ]
     if not any(isinstance(event, PositionFix) for event in events):
         raise InputError(
@@ -316,3 +326,13 @@ def _ranges(topic: _Topic, clock: GpsClock) -> list[NavEvent]:
             sigma_m = math.sqrt(variances[i]) if variances[i] > 0.0 else None
             out.append(RangeFinder(clock.to_unix_ns(us * 1000), float(distances[i]), direction, sigma_m))
     return out
+
+
+def _homes(topic: _Topic, clock: GpsClock) -> list[NavEvent]:
+    known = (topic.column("valid_alt", unknown=1.0) > 0) & (topic.column("valid_hpos", unknown=1.0) > 0)
+    places = topic.columns("lat", "lon", "alt")
+    return [
+        Home(clock.to_unix_ns(us * 1000), *place)
+        for us, place, is_known in zip(topic.boot_us.tolist(), places.tolist(), known, strict=True)
+        if is_known and np.isfinite(place).all()
+    ]

@@ -120,6 +120,7 @@ KINDS = {  # name: format, columns
     "MNT": ("QBfff", "TimeUS,I,Roll,Pitch,YawB"),
     "CAM": ("QBH", "TimeUS,I,Img"),
     "TRIG": ("QBH", "TimeUS,I,Img"),
+    "ORGN": ("QBLLf", "TimeUS,Type,Lat,Lng,Alt"),
 }
 KINDS["GPS"] = ("QBBIHBLLffff", "TimeUS,I,Status,GMS,GWk,NSats,Lat,Lng,Alt,Spd,GCrs,VZ")
 del KINDS["GPSL"]
@@ -178,6 +179,8 @@ def dataflash_log(gimbal: bool = False) -> Dataflash:
     for m in moments(1):
         log.add("TRIG", m.t, 0, 7)
         log.add("CAM", m.t + SHUTTER_S, 0, 7)
+    log.add("ORGN", 0.0, 0, LAT + 0.001, LON, HOME_M + 1.0)  # the filter's own origin
+    log.add("ORGN", 0.0, 1, LAT, LON, HOME_M)
     return log
 
 
@@ -200,7 +203,9 @@ TOPICS: dict[str, tuple[tuple[str, str], ...]] = {
     ),
     "estimator_status": (("uint16_t", "solution_status_flags"),),
     "camera_capture": (("uint64_t", "timestamp_utc"), ("uint8_t", "result")),
-    "home_position": (("float", "alt"), ("uint8_t", "valid_alt")),
+    "home_position": (
+        ("double", "lat"), ("double", "lon"), ("float", "alt"), ("uint8_t", "valid_alt"), ("uint8_t", "valid_hpos"),
+    ),
     "gimbal_device_attitude_status": (("float[4]", "q"), ("uint16_t", "device_flags")),
 }  # fmt: skip
 
@@ -223,7 +228,8 @@ def _ulog_rows(gimbal: bool, has_utc: bool) -> Iterator[tuple[float, str, tuple[
         gps = m.lat, LON, height, height + 11.0, utc, 0.4, 0.6, 0.1, 3, 12
         yield m.t + GPS_LAG_S, "vehicle_gps_position", gps
         yield m.t, "estimator_status", (0b11_0011_1111,)
-    yield 0.0, "home_position", (HOME_M, 1)
+    yield 0.0, "home_position", (LAT, LON, HOME_M, 1, 1)
+    yield 0.1, "home_position", (LAT, LON, HOME_M, 1, 0)  # its place is not known
 
 
 def _quaternion(*euler_deg: float) -> tuple[float, ...]:

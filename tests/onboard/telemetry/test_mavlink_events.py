@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from contract.rotations import matrix_from_quaternion
-from onboard.events.types import FilterStatus, GpsQuality, NavEvent, PositionFix
+from onboard.events.types import FilterStatus, GpsQuality, Home, NavEvent, PositionFix
 from onboard.telemetry.mavlink_events import MessageToEvent, Sources, sensor_direction
 
 BOOT_MS = 5000
@@ -185,3 +185,16 @@ def test_a_custom_orientation_is_its_quaternion(q: tuple[float, float, float, fl
 def test_a_custom_orientation_without_a_quaternion_is_unknown() -> None:
     assert sensor_direction(100, (0.0, 0.0, 0.0, 0.0)) is None
     assert sensor_direction(100) is None
+
+
+def home(lat: int = -433_800_000, lon: int = 1_724_000_000) -> Any:
+    return mavlink.MAVLink_home_position_message(lat, lon, 100_080, 0.0, 0.0, 0.0, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0)
+
+
+def test_where_it_was_armed_is_stamped_when_it_comes() -> None:
+    assert events(clock(), home()) == [Home(STAMP, -43.38, 172.4, 100.08)]
+
+
+@pytest.mark.parametrize("message", [home(0, 0), home(lat=910_000_000), home(lon=1_810_000_000)])
+def test_a_home_that_is_nowhere_makes_no_event(message: Any) -> None:
+    assert events(message) == []

@@ -80,6 +80,7 @@ def test_everything_is_asked_once_and_then_there_is_peace() -> None:
         ("EKF_STATUS_REPORT", 5.0),
         ("GIMBAL_DEVICE_ATTITUDE_STATUS", 20.0),
         ("SYS_STATUS", 0.2),
+        ("HOME_POSITION", 0.1),
     ]
     assert played.requests.complaint() == ""
     assert played.requests.figures() == pytest.approx(
