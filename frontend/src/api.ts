@@ -1,6 +1,6 @@
 // Requests to the server that served the page, and its events.
 
-import type { AreaPlan, AreaState, AreaView, ClickBody, CoordinateReply, FireReply, FoundSpot, FrameRow, FrameView, Handoff, LookOffer, News, Pin, PinReply, PlaceReply, Seen, SeenAt, SeenDetection, SeenPicture, SeenState, ServerEvent, ServerStatus, Tie } from "./types.js";
+import type { AreaPlan, AreaState, AreaView, ClickBody, CoordinateReply, FireReply, FlightRows, FoundSpot, FrameRow, FrameView, Handoff, LookOffer, News, Pin, PinReply, PlaceReply, Seen, SeenAt, SeenDetection, SeenPicture, SeenState, ServerEvent, ServerStatus, Tie } from "./types.js";
 
 export class Refused extends Error {
   constructor(readonly status: number, message: string, readonly body: unknown) { super(message); }
@@ -40,7 +40,15 @@ export const api = {
   seenState: () => asked<SeenState>("/api/seen"),
   seenDetection: () => asked<SeenDetection>("/api/seen/detection"),
   seenSectors: (file: File) => asked<{ sectors: number }>(`/api/seen/sectors?name=${part(file.name)}`, "POST", file),
+  outlinedSector: (name: string, corners: [number, number][]) => asked<{ sectors: number }>("/api/seen/sectors/outline", "POST", { name, corners }),
   noSectors: () => asked<{ sectors: number }>("/api/seen/sectors", "DELETE"),
+  noSector: (name: string) => asked<{ sectors: number }>(`/api/seen/sectors?name=${part(name)}`, "DELETE"),
+  sectorsUrl: "/api/seen/sectors",
+  woods: (file: File) => asked<{ woods: number }>(`/api/seen/woods?name=${part(file.name)}`, "POST", file),
+  noWoods: () => asked<{ woods: number }>("/api/seen/woods", "DELETE"),
+  flightRows: (by: string, below: string, heightM: string, overlap: string) =>
+    asked<FlightRows>(`/api/seen/rows?by=${by}&below=${below}&overlap=${overlap}${heightM === "" ? "" : `&height_m=${part(heightM)}`}`),
+  gapsUrl: (kind: string, by: string, below: string) => `/api/seen/gaps/${kind}?by=${by}&below=${below}`,
   seenAt: (lat: number, lon: number) => asked<SeenAt>(`/api/seen/at?lat=${lat}&lon=${lon}`),
   seenPixel: (at: SeenPicture, lat: number, lon: number) =>
     asked<{ u_px: number; v_px: number }>(`${frameUrl(at.vehicle, at.session, at.frame, "pixel")}&lat=${lat}&lon=${lon}`),

@@ -150,7 +150,7 @@ export class MapPane {
     const map = this.map;
     addLayers(map, this.base);
     new FireLayer(map, "track-areas");
-    new SeenLayer(map, this.state, this.openSeen);
+    const seen = new SeenLayer(map, this.state, this.openSeen, () => this.follow(false));
     map.on("moveend", () => this.moved());
     map.on("render", () => {
       const shown = String(this.shownCount), element = byId("map"); // what a test may wait for
@@ -164,7 +164,7 @@ export class MapPane {
     map.on("mouseout", () => setText(byId("map-cursor"), ""));
     map.on("mousemove", PIN_LAYERS, (event) => { this.state.hover(String(event.features?.[0]?.properties["id"] ?? "")); map.getCanvas().style.cursor = "pointer"; });
     map.on("mouseleave", PIN_LAYERS, () => { this.state.hover(null); map.getCanvas().style.cursor = ""; });
-    map.on("click", PIN_LAYERS, (event) => this.state.select(String(event.features?.[0]?.properties["id"] ?? "")));
+    map.on("click", PIN_LAYERS, (event) => { if (!seen.isDrawing) this.state.select(String(event.features?.[0]?.properties["id"] ?? "")); });
     paintTheme(this.map, this.theme);
     this.state.on(["shown"], () => this.later("shown"));
     this.state.on(["pins", "hover", "selected"], () => this.later("pins"));

@@ -5,7 +5,9 @@ import type { GeoJSONSource, Map as MapLibreMap, MapMouseEvent, RasterTileSource
 import { api } from "./api.js";
 import { byId, make, setText } from "./dom.js";
 import { clock, moment } from "./format.js";
+import { Flights } from "./flights.js";
 import { PIN_LAYERS, collection } from "./map-layers.js";
+import { Sectors } from "./sectors.js";
 import type { State } from "./state.js";
 import type { Finder, SeenAt, SeenDetection, SeenPicture, SeenState } from "./types.js";
 
@@ -36,22 +38,25 @@ export class SeenLayer {
   private readonly legend = make("ul", { class: "seen-legend" });
   private readonly sum = make("p", { class: "seen-sum", "data-testid": "seen-sum" });
   private readonly numbers = make("ul", { class: "seen-numbers", "data-testid": "seen-numbers" });
-  private readonly file = make("input", { type: "file", accept: ".geojson,.json,.kml", hidden: true, "data-testid": "sectors-file" });
-  private readonly sectors = make("div", { class: "seen", hidden: true },
-    make("button", { type: "button", class: "frame", title: "areas of a GeoJSON or KML file, for a number each", "data-testid": "sectors", click: () => this.file.click() }, "Sectors ..."), this.file,
-    make("button", { type: "button", class: "frame", title: "no sectors: all that was seen", "data-testid": "no-sectors", click: () => this.choose(api.noSectors()) }, "None"));
+  private readonly sectors: Sectors;
+  private readonly flights: Flights;
 
-  constructor(private readonly map: MapLibreMap, private readonly state: State, private readonly open: OpenSeen) {
+  constructor(private readonly map: MapLibreMap, private readonly state: State, private readonly open: OpenSeen, hold: () => void) {
     const by = make("select", { "aria-label": "colours show", "data-testid": "seen-by" }, ...CHOICES.map(([value, text]) => make("option", { value }, text)));
     by.addEventListener("change", () => { this.by = CHOICES[by.selectedIndex]![0]; this.drawLegend(); void this.look(); });
-    this.file.addEventListener("change", () => { const [file] = this.file.files ?? []; if (file !== undefined) this.choose(api.seenSectors(file)); this.file.value = ""; });
-    this.panel.append(make("div", { class: "seen-head" }, make("strong", {}, "Seen"), by), this.unit, this.numbers, this.legend, this.sectors, this.sum, this.found);
+    this.sectors = new Sectors(map, (done) => this.choose(done), hold);
+    this.flights = new Flights(map);
+    this.panel.append(make("div", { class: "seen-head" }, make("strong", {}, "Seen"), by), this.unit, this.numbers, this.legend, this.sectors.element, this.flights.element, this.sum, this.found);
     byId("show-seen").addEventListener("click", () => this.turn(!this.isOn));
     map.on("click", (event) => this.clicked(event));
   }
 
+  /** Return whether a press on the map sets a sector's corner. */
+  get isDrawing(): boolean { return this.sectors.isDrawing; }
+
   private turn(on: boolean): void {
     this.isOn = on;
+    if (!on) { this.sectors.hide(); this.flights.hide(); }
     byId("show-seen").setAttribute("aria-pressed", String(on));
     this.panel.hidden = !on;
     window.clearTimeout(this.timer);
@@ -65,8 +70,8 @@ export class SeenLayer {
 
   private drawLegend(): void {
     const isLive = this.state.server?.is_live === true;
-    this.sectors.hidden = this.numbers.hidden = !isFinder(this.by);
-    if (isFinder(this.by)) { this.numbers.replaceChildren(); setText(this.unit, "Would have been found:"); } else this.outline([]);
+    this.numbers.hidden = !isFinder(this.by);
+    if (isFinder(this.by)) { this.numbers.replaceChildren(); setText(this.unit, "Would have been found:"); this.sectors.show(); this.flights.show(this.by); } else { this.outline([]); this.sectors.hide(); this.flights.hide(); }
     if (!isFinder(this.by)) setText(this.unit, this.by === "count" ? "Pictures that saw it:" : isLive ? "Last seen, minutes ago:" : "Last seen, minutes before the recording's end:");
     this.legend.replaceChildren(...WORDS[this.by].map((text, k) => {
       const swatch = make("i", {});
@@ -105,6 +110,7 @@ export class SeenLayer {
     this.numbers.replaceChildren(...lines.map((line) => make("li", {}, line)));
     this.numbers.dataset["current"] = String(now.is_current); // what a test may wait for
     this.outline(now.sectors);
+    this.sectors.list(now.sectors.map(({ name }) => name), now.woods);
   }
 
   private choose(done: Promise<unknown>): void {
@@ -134,7 +140,7 @@ export class SeenLayer {
   }
 
   private clicked(event: MapMouseEvent): void {
-    if (!this.isOn || this.map.queryRenderedFeatures(event.point, { layers: PIN_LAYERS }).length > 0) return;
+    if (!this.isOn || this.isDrawing || this.map.queryRenderedFeatures(event.point, { layers: PIN_LAYERS }).length > 0) return;
     const { lat, lng: lon } = event.lngLat;
     api.seenAt(lat, lon).then((reply) => { this.list(reply); this.found.scrollIntoView({ block: "nearest" }); }, (error: unknown) => { this.found.textContent = error instanceof Error ? error.message : String(error); });
   }

@@ -158,8 +158,11 @@ export type Finder = "machine" | "operator";
 export interface SeenDetection {
   version: string; is_current: boolean; assumed: Record<Finder, string>; lines: Record<Finder, string[]>;
   detection: { searched_pictures: number; unmatched_reports: number } | null;
-  sectors: { name: string; rings: [number, number][][] }[]; trouble: string;
+  sectors: { name: string; rings: [number, number][][] }[]; woods: number; trouble: string;
 }
+
+/** Rows to fly over gaps: in words, as a way of longitudes and latitudes, and the files of it by their kind. */
+export interface FlightRows { words: string; height_m: number; way: [number, number][]; files: Record<string, string> }
 
 export interface SeenPicture { vehicle: string; session: number; frame: number; capture_unix_ns: string; gsd_m: number }
 

@@ -30,7 +30,7 @@ from ground.seen.cells import LEAST_CELL_M, MOST_CELL_M
 from ground.seen.coverage import Coverage, coverage
 from ground.seen.detection import detection
 from ground.seen.export import WRITERS, time_text, write
-from ground.seen.flight_rows import Strip, flight_rows, machine_gsd_m, operator_gsd_m
+from ground.seen.flight_rows import MOST_OVERLAP, OVERLAP, rows_over
 from ground.seen.missions import FORMATS
 from ground.seen.searched import BELOW, Searched, area_text, gap_dict, share_text
 from ground.seen.tally import SeenGround
@@ -45,7 +45,6 @@ examples:
 """
 GAPS_LISTED = 5
 REPORT_EVERY_S = 10.0
-OVERLAP, MOST_OVERLAP = 0.3, 0.9
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -120,13 +119,8 @@ def _check(args: argparse.Namespace) -> None:
 
 def _write_rows(args: argparse.Namespace, searched: Searched, shown: Coverage, camera: Camera) -> None:
     """The gaps as files to fly, for the camera that took the newest picture. Raises InputError."""
-    height_m = args.height
-    if height_m is None and searched.who == "machine":
-        height_m = Strip.of(camera).height_m(camera, machine_gsd_m(searched.below, searched.detection.shares))
-    elif height_m is None:
-        height_m = Strip.of(camera).height_m(camera, operator_gsd_m(searched.below, camera, args.look))
     overlap = OVERLAP if args.overlap is None else args.overlap
-    rows = flight_rows(searched.gaps, shown, camera, height_m, overlap)
+    rows = rows_over(searched, shown, camera, args.height, overlap, args.look)
     if not args.json:
         print(rows.to_text())
     for path in args.fly:

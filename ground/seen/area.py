@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 Polygon = list[Array]
 
 MOST_CORNERS = 100_000
+MOST_OUTLINED = 500  # corners of a sector that is outlined by hand
 MOST_NAME = 60  # characters of a sector's
 ZIP = b"PK\x03\x04"
 
@@ -68,13 +69,76 @@ def _sectors(found: Sequence[_Area]) -> list[Sector]:
     return [Sector(name, polygons) for name, (_, polygons) in zip(shown, found, strict=True)]
 
 
+def outlined_sector(name: str, corners: object) -> Sector:
+    """A sector of corners that somebody set, longitude and latitude in degrees. Raises InputError, in a line.
+
+    One whose sides cross is refused: which part was meant is not known.
+    """
+    try:
+        ring = _ring(corners)
+    except InputError as error:
+        raise InputError(f"an outlined sector: {error}") from error
+    ring = ring[(ring != np.roll(ring, 1, axis=0)).any(axis=1)]  # a double click sets a corner twice
+    if len(ring) < 3:
+        raise InputError("an outlined sector needs three corners or more")
+    if len(ring) > MOST_OUTLINED:
+        raise InputError(f"an outlined sector: more than {MOST_OUTLINED} corners")
+    if sides_cross(ring):
+        raise InputError("the sector's sides cross: set its corners in order round it")
+    return Sector(" ".join(name.split())[:MOST_NAME], [[ring]])
+
+
+def sides_cross(ring: Array) -> bool:
+    """Return whether two sides of a ring (K, 2) that are no neighbours have a point in common."""
+    ends = np.roll(ring, -1, axis=0)
+
+    def side_of(p: Array, q: Array, r: Array) -> Array:
+        return np.sign(
+            (q[..., 0] - p[..., 0]) * (r[..., 1] - p[..., 1]) - (q[..., 1] - p[..., 1]) * (r[..., 0] - p[..., 0])
+        )
+
+    a, b, c, d = ring[:, None], ends[:, None], ring[None], ends[None]
+    meets = (side_of(a, b, c) * side_of(a, b, d) <= 0.0) & (side_of(c, d, a) * side_of(c, d, b) <= 0.0)
+    # Of sides on one line the signs are all 0: they meet if what they span does.
+    overlap = (np.maximum(a, b) >= np.minimum(c, d)) & (np.maximum(c, d) >= np.minimum(a, b))
+    number = np.arange(len(ring))
+    apart = np.abs(number[:, None] - number[None])
+    is_neighbour = (apart <= 1) | (apart == len(ring) - 1)
+    return bool((meets & overlap.all(axis=-1) & ~is_neighbour).any())
+
+
+def sectors_document(sectors: Sequence[Sector]) -> dict[str, Any]:
+    """Sectors as a GeoJSON FeatureCollection, which `sectors_of` reads again."""
+    features = [
+        {
+            "type": "Feature",
+            "properties": {"name": sector.name},
+            "geometry": {
+                "type": "MultiPolygon",
+                "coordinates": [[[*ring.tolist(), ring[0].tolist()] for ring in rings] for rings in sector.polygons],
+            },
+        }
+        for sector in sectors
+    ]
+    return {"type": "FeatureCollection", "features": features}
+
+
 def read_woods(path: Path) -> list[Woods]:
     """The woods of a GeoJSON file, each with the property `canopy`, 0 to 1. Raises InputError, in a line."""
+    return _woods(f"--woods {path}", _read(path, "--woods"))
+
+
+def woods_of(name: str, data: bytes) -> list[Woods]:
+    """The same of a file's name and content. Raises InputError, in a line."""
+    return _woods(name, _areas(name, data, ""))
+
+
+def _woods(name: str, found: Sequence[_Area]) -> list[Woods]:
     out = []
-    for number, (about, polygons) in enumerate(_read(path, "--woods"), 1):
+    for number, (about, polygons) in enumerate(found, 1):
         canopy = about.get("canopy")
         if isinstance(canopy, bool) or not isinstance(canopy, int | float) or not 0.0 <= canopy <= 1.0:
-            raise InputError(f"--woods {path}: area {number} needs the property canopy, a share from 0 to 1")
+            raise InputError(f"{name}: area {number} needs the property canopy, a share from 0 to 1")
         out.append(Woods(polygons, float(canopy)))
     return out
 

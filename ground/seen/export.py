@@ -99,7 +99,7 @@ def _write_geojson(path: Path, _: SeenGround, found: Coverage, searched: Searche
     path.write_text(json.dumps(document(found, searched), separators=(",", ":")) + "\n", encoding="utf-8")
 
 
-def _write_kml(path: Path, _: SeenGround, found: Coverage, searched: Searched | None) -> None:
+def gaps_kml(found: Coverage, searched: Searched | None) -> str:
     """The gaps as polygons: of what was not seen, or with `searched` of what would not have been found."""
     ET.register_namespace("", KML)
     root = element(None, f"{{{KML}}}kml")
@@ -115,7 +115,11 @@ def _write_kml(path: Path, _: SeenGround, found: Coverage, searched: Searched | 
             line = element(element(polygon, f"{{{KML}}}{kind}BoundaryIs"), f"{{{KML}}}LinearRing")
             corners = " ".join(f"{lon:.8f},{lat:.8f}" for lon, lat in _closed(ring, found))
             element(line, f"{{{KML}}}coordinates", corners)
-    path.write_text(xml_document(root), encoding="utf-8")
+    return xml_document(root)
+
+
+def _write_kml(path: Path, _: SeenGround, found: Coverage, searched: Searched | None) -> None:
+    path.write_text(gaps_kml(found, searched), encoding="utf-8")
 
 
 def _write_geotiff(path: Path, seen: SeenGround, found: Coverage, searched: Searched | None) -> None:

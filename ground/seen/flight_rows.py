@@ -15,12 +15,14 @@ from contract.lens import FISHEYE
 from ground.seen.coverage import Coverage, Gap
 from ground.seen.detection import final_probability, searched_for
 from ground.seen.outline import cells_inside
+from ground.seen.searched import Searched
 
 Array = NDArray[np.float64]
 
 MOST_POINTS = 700  # that common autopilots hold
 FINEST_M, COARSEST_M = 0.001, 10.0  # ground sample distances among which the wanted one is looked for
 SPEED_M_S = 10.0  # over the ground
+OVERLAP, MOST_OVERLAP = 0.3, 0.9  # of neighbouring rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +105,29 @@ def machine_gsd_m(wanted: float, searched: Sequence[tuple[float, float]]) -> flo
             f"in most pictures less than {wanted:.0%} of people would stand out, at every height: choose --height"
         )
     return float(pictures[most & is_enough, 0].max())
+
+
+def rows_over(
+    searched: Searched,
+    over: Coverage,
+    camera: Camera,
+    height_m: float | None = None,
+    overlap: float = OVERLAP,
+    look_s: float | None = None,
+) -> FlightRows:
+    """Rows over the gaps of what was searched; without a height from as high as its `below` and `who` need.
+
+    `look_s`: an operator's time for a place, else while it is in view. Raises InputError, as the functions below.
+    """
+    if height_m is None:
+        by_machine = searched.who == "machine"
+        gsd_m = (
+            machine_gsd_m(searched.below, searched.detection.shares)
+            if by_machine
+            else operator_gsd_m(searched.below, camera, look_s)
+        )
+        height_m = Strip.of(camera).height_m(camera, gsd_m)
+    return flight_rows(searched.gaps, over, camera, height_m, overlap)
 
 
 def flight_rows(gaps: Sequence[Gap], over: Coverage, camera: Camera, height_m: float, overlap: float) -> FlightRows:

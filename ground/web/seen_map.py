@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Sequence
 
+from contract.camera import Camera
 from ground.seen.area import Sector
 from ground.seen.coverage import Coverage, coverage
 from ground.seen.export import time_text
@@ -35,6 +36,7 @@ class SeenMap:
         self._has_looked = False
         self._newest = (0, 0.0)  # of all: capture, and by the monotonic clock when it was noticed
         self._area = (-1, 0.0, 0.0)  # version, when computed, m2
+        self._camera: tuple[int, Camera] | None = None  # of the newest picture that answers, with its capture
 
     def begin(self) -> None:
         with self._lock:
@@ -65,6 +67,8 @@ class SeenMap:
             if found is not None:
                 with self._lock:
                     self._seen.add(found)
+                    if found.is_ok and (self._camera is None or found.capture_unix_ns > self._camera[0]):
+                        self._camera = found.capture_unix_ns, found.camera
 
     def state(self) -> dict[str, object]:
         with self._lock:
@@ -98,6 +102,12 @@ class SeenMap:
             return coverage(
                 self._seen, [polygon for sector in sectors for polygon in sector.polygons] or None
             ), self._seen.looks()
+
+    @property
+    def camera(self) -> Camera | None:
+        """The camera of the newest picture that answers clicks, of all aircraft; None before the first."""
+        with self._lock:
+            return None if self._camera is None else self._camera[1]
 
     @property
     def version(self) -> int:
