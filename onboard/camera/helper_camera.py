@@ -17,6 +17,7 @@ from onboard.camera.frame_protocol import FrameReader, GimbalFrame, Header, Orig
 from onboard.camera.helper_process import HelperProcess
 from onboard.camera.picture_decoder import Pictures, RawPicture
 from onboard.camera.sender_clock import SenderClock
+from onboard.camera.thermal_grey import thermal_grey
 from onboard.config.schema import NOT_THERMAL, CameraConfig, ThermalConfig
 from onboard.events.session_clock import SessionClock
 from onboard.events.source import Emit, SourceStatus, State, Stop
@@ -100,7 +101,7 @@ class HelperCamera:
             STALE_NS,
             "helper",
             launch.is_compressed,
-            thermal.enabled,
+            thermal_grey(thermal),
         )
         self._stamps = SenderClock(clock, config.stream_clock == "utc")
         self._stream: _Stream | None = None

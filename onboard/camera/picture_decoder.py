@@ -71,14 +71,14 @@ class Pictures:
         stale_ns: int = STALE_NS,
         numbered_by: str = "driver",
         is_compressed: bool = False,
-        is_thermal: bool = False,
+        thermal: ThermalGrey | None = None,
     ) -> None:
         self.counts = Counts()
         self.delay_ms = 0.0  # of the newest picture, from its stamp until it was taken
         self._clock, self._size_px, self._rate_hz = clock, size_px, rate_hz
         self._stale_ns, self._numbered_by, self._is_compressed = stale_ns, numbered_by, is_compressed
         self._latency_ns = round(latency_s * 1e9)
-        self._thermal = ThermalGrey() if is_thermal else None  # over restarts: the same sensor
+        self._thermal = thermal  # over restarts: the same sensor
         self._consistency = StampConsistency()  # over restarts: the same camera
         self._last_stamp_ns: int | None = None  # over restarts: stamps never run backwards
         self._begin()

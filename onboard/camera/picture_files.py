@@ -76,23 +76,26 @@ def open_frames(
     max_rate_hz: float = math.inf,
     in_colour: bool = False,
     is_thermal: bool = False,
+    black_hot: bool = False,
 ) -> FrameSource:
     """Open a folder of pictures or a video; `latency_s` is taken off every stamp to give mid-exposure.
 
     `whole_seconds`: EXIF times cut to the second may serve. `epoch_ns`: when a video without `stamps` began, whatever
     its name states. `max_rate_hz`: pictures closer together are left out. `in_colour`: frames have their colours too.
-    `is_thermal`: they have their counts.
+    `is_thermal`: they have their counts, `black_hot`: turned round, of 8 bits.
 
     Raises InputError, one line, if it is missing or empty, of another size than the camera, or has no capture times.
     """
     path = Path(path)
     if path.is_dir():
-        return PictureFolder(path, camera, stamps, latency_s, whole_seconds, max_rate_hz, in_colour, is_thermal)
+        return PictureFolder(
+            path, camera, stamps, latency_s, whole_seconds, max_rate_hz, in_colour, is_thermal, black_hot
+        )
     if not path.exists():
         raise InputError(f"frames {path}: no such folder or video")
     if path.suffix.lower() in PICTURE_SUFFIXES:
         raise InputError(f"frames {path}: a single picture; name the folder it is in, or a video")
-    return Video(path, camera, stamps, latency_s, epoch_ns, max_rate_hz, in_colour, is_thermal)
+    return Video(path, camera, stamps, latency_s, epoch_ns, max_rate_hz, in_colour, is_thermal, black_hot)
 
 
 def _check_size(what: str, size_px: tuple[int, int], camera: Camera) -> None:
@@ -149,9 +152,10 @@ class PictureFolder:
         max_rate_hz: float = math.inf,
         in_colour: bool = False,
         is_thermal: bool = False,
+        black_hot: bool = False,
     ) -> None:
         self.folder, self.camera, self._whole_seconds = folder, camera, whole_seconds
-        self._in_colour, self._is_thermal = in_colour, is_thermal
+        self._in_colour, self._is_thermal, self._black_hot = in_colour, is_thermal, black_hot
         names = sorted(
             entry.name for entry in folder.iterdir() if entry.suffix.lower() in PICTURE_SUFFIXES and entry.is_file()
         )
@@ -237,7 +241,7 @@ class PictureFolder:
 
     def frames(self) -> Iterator[Frame]:
         """Decode and yield each picture; raises InputError at one that cannot be decoded."""
-        thermal = ThermalGrey() if self._is_thermal else None
+        thermal = ThermalGrey(self._black_hot) if self._is_thermal else None
         for index, item in enumerate(self._stamped):
             try:
                 if thermal is not None and index == 0 and (shown := read_colour(self.folder / item.name)) is not None:
@@ -291,8 +295,10 @@ class Video:
         max_rate_hz: float = math.inf,
         in_colour: bool = False,
         is_thermal: bool = False,
+        black_hot: bool = False,
     ) -> None:
-        self.path, self.camera, self._in_colour, self._is_thermal = path, camera, in_colour, is_thermal
+        self.path, self.camera = path, camera
+        self._in_colour, self._is_thermal, self._black_hot = in_colour, is_thermal, black_hot
         capture = self._open()
         size = int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
         count, rate_hz = int(capture.get(cv2.CAP_PROP_FRAME_COUNT)), capture.get(cv2.CAP_PROP_FPS)
@@ -362,7 +368,7 @@ class Video:
         numbers = {item.name: number for number, item in enumerate(self._stamped)}
         last = self._all.index(self._stamped[-1])
         capture, index = self._open(), 0
-        thermal = ThermalGrey() if self._is_thermal else None
+        thermal = ThermalGrey(self._black_hot) if self._is_thermal else None
         try:
             while index <= last:
                 if not capture.grab():

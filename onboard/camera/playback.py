@@ -39,7 +39,9 @@ class PlayedCamera:
         self._path, self._clock, self._thermal = Path(path), clock, thermal
         next_to_it = [p for p in (self._path / STAMPS, self._path.parent / STAMPS) if p.is_file()]
         stamps = next_to_it[0] if next_to_it else None
-        self._source = open_frames(self._path, camera, stamps, latency_s, is_thermal=thermal.enabled)
+        self._source = open_frames(
+            self._path, camera, stamps, latency_s, is_thermal=thermal.enabled, black_hot=thermal.black_hot
+        )
         self._health = SourceStatus(State.STARTING, "not playing yet")
         self.log_shift_ns: Callable[[], int | None] | None = None
         """The session's clock less the pictures', ns, as the log has it that is played with them, once it plays."""

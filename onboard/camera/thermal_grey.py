@@ -16,11 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.errors import InputError
+from onboard.config.schema import ThermalConfig
 
 Grey = NDArray[np.uint8]
 ThermalCounts = NDArray[np.uint16]
 Grid = NDArray[np.float32]
 
+LIGHTEST = np.uint8(255)
 QUARTILES = (25.0, 50.0, 75.0)  # per cent
 MIDDLE_LEVELS = 40.0  # grey levels from the first to the last of these: a normal spread then fills the scale
 MOST_GAIN = 4.0  # grey levels a count
@@ -39,16 +41,21 @@ MOVED = 0.5  # correlation of two pictures' cells below which they show other gr
 
 
 class ThermalGrey:
-    """Counts in capture order, of one camera, to grey. The same counts again give the same picture."""
+    """Counts in capture order, of one camera, to grey. The same counts again give the same picture.
 
-    def __init__(self) -> None:
+    `black_hot`: of pictures of 8 bits what is dark is hot; their counts are turned round, and rise with heat again.
+    """
+
+    def __init__(self, black_hot: bool = False) -> None:
+        self._black_hot = black_hot
         self._last: tuple[ThermalCounts, Grey] | None = None
         self._gain: float | None = None
         self._pattern = FixedPattern()
 
     def picture(self, raw: ThermalCounts | Grey) -> tuple[Grey, ThermalCounts]:
         """Return a camera's picture (H, W), of 8 or 16 bits, as grey and as counts."""
-        counts = raw.astype(np.uint16, copy=False)
+        is_turned = self._black_hot and raw.dtype == np.uint8
+        counts = (LIGHTEST - raw if is_turned else raw).astype(np.uint16, copy=False)
         return self._grey(counts), counts
 
     def _grey(self, counts: ThermalCounts) -> Grey:
@@ -65,6 +72,11 @@ class ThermalGrey:
         grey: Grey = np.clip(level + np.float32(128.5), 0.0, 255.0).astype(np.uint8)
         self._last, self._gain = (counts, grey), gain
         return grey
+
+
+def thermal_grey(config: ThermalConfig) -> ThermalGrey | None:
+    """The counts to grey of a camera as configured; None of one that is no thermal one."""
+    return ThermalGrey(config.black_hot) if config.enabled else None
 
 
 def refuse_palette(colour: NDArray[np.uint8], what: str) -> None:

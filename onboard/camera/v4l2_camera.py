@@ -16,6 +16,7 @@ from onboard.camera.discovery import Identity, candidates, identity, same_camera
 from onboard.camera.format_negotiation import ENOUGH, choose_format
 from onboard.camera.picture_decoder import Pictures, RawPicture
 from onboard.camera.pixel_formats import DEEP
+from onboard.camera.thermal_grey import thermal_grey
 from onboard.camera.v4l2_device import Buffer, Device, Granted, V4l2Device
 from onboard.config.schema import NOT_THERMAL, CameraConfig, ThermalConfig
 from onboard.events.session_clock import SessionClock
@@ -75,7 +76,9 @@ class V4l2Camera:
     ) -> None:
         self._config, self._camera, self._clock, self._thermal = config, camera, clock, thermal
         self._open_device, self._now_ns, self._paths, self._identify = open_device, now_ns, paths, identify
-        self._pictures = Pictures(clock, config.latency_s, camera.size_px, config.rate_hz, is_thermal=thermal.enabled)
+        self._pictures = Pictures(
+            clock, config.latency_s, camera.size_px, config.rate_hz, thermal=thermal_grey(thermal)
+        )
         self._known: Identity | None = None
         self._others: set[str] = set()  # bus places of other cameras: not ours, even if of the same type
         self._stream: _Stream | None = None

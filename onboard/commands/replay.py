@@ -204,8 +204,10 @@ def _second_camera(arguments: argparse.Namespace, inputs: _Inputs) -> Camera | N
 def _second_pictures(arguments: argparse.Namespace, inputs: _Inputs, camera: Camera) -> Iterator[Frame]:
     """Return that camera's pictures: as named, else as recorded. Raises InputError where there are none."""
     if arguments.thermal is not None:
-        stamps, latency_s = arguments.thermal_stamps, inputs.config.camera.thermal.latency_s
-        return open_frames(arguments.thermal, camera, stamps, latency_s, is_thermal=True).frames()
+        stamps, second = arguments.thermal_stamps, inputs.config.camera.thermal
+        return open_frames(
+            arguments.thermal, camera, stamps, second.latency_s, is_thermal=True, black_hot=second.black_hot
+        ).frames()
     if inputs.recorded is not None and inputs.recorded.has_second_counts:
         return inputs.recorded.second_pictures()
     raise InputError(

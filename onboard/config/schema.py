@@ -24,7 +24,7 @@ from contract.thermal_scale import ThermalScale
 from onboard.config.delay_prior import delay_prior
 from onboard.config.link import Link, Look
 from onboard.config.mavlink_camera import MavlinkCamera
-from onboard.config.second_camera import SecondCamera
+from onboard.config.second_camera import BLACK_HOT, BLACK_HOT_AND_SCALE, SecondCamera
 from onboard.config.section import Section, choice, quantity
 
 
@@ -153,6 +153,13 @@ class ThermalConfig(Section):
         None, 1e-5, 100.0, "K", "of one count, 0.01 of a radiometric Lepton or Boson; if not set: uncalibrated"
     )
     offset: float = quantity(0.0, -1e5, 1e5, "K", "temperature of count 0, with the scale")
+    black_hot: bool = choice(False, BLACK_HOT)
+
+    @model_validator(mode="after")
+    def _has_no_scale_if_black_hot(self) -> ThermalConfig:
+        if self.black_hot and self.scale is not None:
+            raise ValueError(BLACK_HOT_AND_SCALE)
+        return self
 
     @property
     def calibration(self) -> ThermalScale | None:
@@ -164,7 +171,9 @@ class ThermalConfig(Section):
         """A description of the counts, for people; empty if the camera is no thermal one."""
         if not self.enabled:
             return ""
-        return "thermal, uncalibrated" if self.scale is None else f"thermal, {self.scale:g} K a count"
+        if self.scale is None:
+            return "thermal, black hot" if self.black_hot else "thermal, uncalibrated"
+        return f"thermal, {self.scale:g} K a count"
 
 
 NOT_THERMAL = ThermalConfig()
@@ -376,7 +385,9 @@ class Config(Section):
         """The thermal section that describes the counts searched for hot spots: the second camera's if there is one."""
         second = self.camera.thermal
         return (
-            ThermalConfig(enabled=True, scale=second.scale, offset=second.offset) if second.is_stated else self.thermal
+            ThermalConfig(enabled=True, scale=second.scale, offset=second.offset, black_hot=second.black_hot)
+            if second.is_stated
+            else self.thermal
         )
 
 

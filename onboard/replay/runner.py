@@ -94,7 +94,16 @@ class Flight:
         latency_s, in_colour = config.camera.latency_s, config.recording.pictures == "jpeg"
         epoch_ns = began_ns(log, logs, frames)
         source = open_frames(
-            frames, camera, stamps, latency_s, whole, epoch_ns, max_rate_hz, in_colour, config.thermal.enabled
+            frames,
+            camera,
+            stamps,
+            latency_s,
+            whole,
+            epoch_ns,
+            max_rate_hz,
+            in_colour,
+            config.thermal.enabled,
+            config.thermal.black_hot,
         )
         if stamps is None and isinstance(source, Video) and (why := another_length(log, source.last_s)):
             raise InputError(
@@ -119,7 +128,16 @@ class Flight:
             raise InputError(f"telemetry exif: {folder} is a video; pictures in a folder have EXIF")
         in_colour = config.recording.pictures == "jpeg"
         source = open_frames(
-            frames, camera, stamps, config.camera.latency_s, True, None, max_rate_hz, in_colour, config.thermal.enabled
+            frames,
+            camera,
+            stamps,
+            config.camera.latency_s,
+            True,
+            None,
+            max_rate_hz,
+            in_colour,
+            config.thermal.enabled,
+            config.thermal.black_hot,
         )
         check_gaps(config, source.stamps_ns)
         photos = [read_photo(folder / name) for name in source.names]

@@ -14,7 +14,7 @@ from onboard.camera.factory import open_device
 from onboard.camera.picture_decoder import Pictures, RawPicture
 from onboard.camera.picture_files import open_frames
 from onboard.camera.playback import PlayedCamera
-from onboard.camera.thermal_grey import SMOOTHED_PX
+from onboard.camera.thermal_grey import SMOOTHED_PX, ThermalGrey
 from onboard.camera.v4l2_camera import V4l2Camera
 from onboard.camera.v4l2_device import Sizes
 from onboard.config.schema import CameraConfig, ThermalConfig
@@ -94,7 +94,7 @@ def offered(pictures: Pictures, number: int, data: bytes, fourcc: str) -> Frame:
 
 
 def test_while_the_shutter_is_closed_there_is_neither_image_nor_counts() -> None:
-    pictures = Pictures(CLOCK, 0.0, SIZE_PX, 9.0, is_thermal=True)
+    pictures = Pictures(CLOCK, 0.0, SIZE_PX, 9.0, thermal=ThermalGrey())
     shown = [0, 1, 2, 3, 3, 3, 3, 4, 5]  # 3: what was seen when it closed
     frames = [offered(pictures, k, centikelvin(number).tobytes(), "Y16") for k, number in enumerate(shown)]
     assert [frame.image is None for frame in frames] == [k in (4, 5, 6) for k in range(len(shown))]
@@ -103,12 +103,35 @@ def test_while_the_shutter_is_closed_there_is_neither_image_nor_counts() -> None
 
 
 def test_of_eight_bits_the_counts_are_the_luma() -> None:
-    pictures = Pictures(CLOCK, 0.0, SIZE_PX, 9.0, is_thermal=True)
+    pictures = Pictures(CLOCK, 0.0, SIZE_PX, 9.0, thermal=ThermalGrey())
     luma = np.random.default_rng(0).integers(0, 255, (HEIGHT, WIDTH), np.uint8)
     frame = offered(pictures, 0, luma.tobytes(), "GREY")
     assert frame.counts is not None
     np.testing.assert_array_equal(frame.counts, luma)
     assert np.corrcoef(frame.image.ravel(), cv2.GaussianBlur(luma, (0, 0), SMOOTHED_PX).ravel())[0, 1] > 0.98
+
+
+def test_black_hot_pictures_of_eight_bits_are_turned_round_wherever_they_come_from(tmp_path: Path) -> None:
+    black_hot = ThermalConfig(enabled=True, black_hot=True)
+    warmth = np.clip(128.0 + 40.0 * (kelvin(0) - 290.0), 0.0, 255.0).astype(np.uint8)
+    for number in range(2):
+        Image.fromarray(255 - warmth).save(tmp_path / f"{UNIX_S + number}.png")
+    check(list(open_frames(tmp_path, CAMERA, is_thermal=True, black_hot=True).frames()), [warmth] * 2)
+    clock, out = Time(), list[object]()
+    open_device(CameraConfig(device=f"replay:{tmp_path}"), CAMERA, clock, black_hot).run(
+        lambda _, event: out.append(event), clock
+    )
+    check([event for event in out if isinstance(event, Frame)], [warmth] * 2)
+    pictures = Pictures(CLOCK, 0.0, SIZE_PX, 9.0, thermal=ThermalGrey(black_hot=True))
+    check([offered(pictures, 0, (255 - warmth).tobytes(), "GREY")], [warmth])
+    assert black_hot.words == "thermal, black hot"
+
+
+def test_sixteen_bits_are_counts_and_are_never_turned_round() -> None:
+    _, counts = ThermalGrey(black_hot=True).picture(centikelvin(0))
+    np.testing.assert_array_equal(counts, centikelvin(0))
+    with pytest.raises(ValueError, match="leave one of them out"):
+        ThermalConfig(enabled=True, black_hot=True, scale=0.01)
 
 
 def test_a_folder_of_sixteen_bit_pictures_is_played_with_its_counts(tmp_path: Path) -> None:
