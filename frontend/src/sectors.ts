@@ -24,7 +24,7 @@ export class Sectors {
   private readonly noWoods = press("No woods", "no trees hide the ground", "no-woods", () => this.choose(api.noWoods()));
   private readonly choices = make("div", { class: "seen only-operators" },
     press("Draw a sector", "click its corners on the map, for a number of its own", "draw", () => this.turn(true)),
-    ...chosen("Sectors ...", "areas of a GeoJSON or KML file, for a number each", "sectors", ".geojson,.json,.kml", (file) => this.choose(api.seenSectors(file))),
+    ...chosen("Sectors ...", "areas of a GeoJSON, KML or KMZ file, for a number each", "sectors", ".geojson,.json,.kml,.kmz", (file) => this.choose(api.seenSectors(file))),
     ...chosen("Woods ...", "areas of a GeoJSON file with `canopy`, the share of the ground that trees hide, 0 to 1", "woods", ".geojson,.json", (file) => this.choose(api.woods(file))),
     this.noWoods);
   private readonly whole = make("div", { class: "seen", hidden: true },

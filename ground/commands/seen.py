@@ -49,7 +49,9 @@ REPORT_EVERY_S = 10.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `seen`."""
-    parser.add_argument("--polygon", metavar="AREA", type=Path, help="searched areas, .geojson or .kml (default: hull)")
+    parser.add_argument(
+        "--polygon", metavar="AREA", type=Path, help="searched areas, .geojson, .kml or .kmz (default: hull)"
+    )
     parser.add_argument(
         "--cell", metavar="M", type=positive, help="side of a cell (default: a hundredth of the height)"
     )

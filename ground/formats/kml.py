@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import io
 import math
 import xml.etree.ElementTree as ET
-import zipfile
-import zlib
 from collections.abc import Sequence
 from functools import partial
 
 from contract.circular_error import CE90_SIGMAS, LE90_SIGMAS
 from contract.errors import InputError
 from contract.geodesy import LocalFrame
+from contract.kmz import ZIP, kml_documents
 from contract.place_files import NAMES, NOTES, kml_values, worded
 from contract.xml_text import KML, document, element
 from ground.formats.coordinates import Grid, figure, shape_values
@@ -25,7 +23,6 @@ from ground.pins.model import Pin
 _COLOURS = {"person": "ff00a5ff", "vehicle": "ffff901e", "fire": "ff0000ff", "hazard": "ff00ffff", "poi": "ff98fb98"}
 _ELLIPSE_POINTS = 32
 ELLIPSES = "90 % ellipses"
-ZIP = b"PK"  # how an archive begins
 
 
 def write(marks: Sequence[Mark], grid: Grid | None = None) -> str:
@@ -113,7 +110,7 @@ def outline(mark: Mark) -> list[tuple[float, float]]:
 
 def read(data: bytes, who: str = "", now_unix_ns: int = 0) -> Imported:
     """Placemarks' points, of KML or of all documents of a KMZ. Raises InputError for what is neither."""
-    roots = [parsed(document, "KML") for document in _documents(data)]
+    roots = [parsed(document, "KML") for document in kml_documents(data, MAX_BYTES)]
     for root in roots:
         if root.tag != "kml":
             raise InputError(f"not KML: its root is {root.tag[:40]!r}")
@@ -161,27 +158,6 @@ def _pin(place: ET.Element, point: ET.Element, who: str, now_unix_ns: int) -> Pi
         category=about.get("category"), who=who, time_text=place.findtext("TimeStamp/when", ""),
         now_unix_ns=now_unix_ns,
     )  # fmt: skip
-
-
-def _documents(data: bytes) -> list[bytes]:
-    """A document, or those of a KMZ, doc.kml first: what it links to in the archive is meant too. Raises InputError."""
-    if data[:2] != ZIP:
-        return [data]
-    found, left = [], MAX_BYTES
-    try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            names = [name for name in archive.namelist() if name.lower().endswith(".kml")]
-            if not names:
-                raise InputError("not KMZ: no .kml in the archive")
-            for name in sorted(names, key=lambda name: name != "doc.kml"):
-                with archive.open(name) as stream:
-                    found.append(stream.read(left + 1))
-                left -= len(found[-1])
-                if left < 0:
-                    raise InputError(f"KMZ: its documents are larger than {MAX_BYTES // 1_000_000} MB")
-    except (zipfile.BadZipFile, NotImplementedError, RuntimeError, OSError, EOFError, ValueError, zlib.error) as error:
-        raise InputError(f"not KMZ ({error})") from error
-    return found
 
 
 def _html(text: str) -> str:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.errors import InputError
+from contract.kmz import ZIP, kml_documents
 from contract.place_files import NAMES, check_wgs84, kml_values, worded
 from contract.xml_root import xml_root
 
@@ -25,7 +26,7 @@ Polygon = list[Array]
 MOST_CORNERS = 100_000
 MOST_OUTLINED = 500  # corners of a sector that is outlined by hand
 MOST_NAME = 60  # characters of a sector's
-ZIP = b"PK\x03\x04"
+MOST_UNPACKED = 64_000_000  # bytes of a KMZ
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +50,7 @@ class Woods:
 
 
 def read_sectors(path: Path) -> list[Sector]:
-    """The areas of a GeoJSON or KML file, each with its name, else with its number. Raises InputError, in a line."""
+    """The areas of a GeoJSON, KML or KMZ file, each with its name, else its number. Raises InputError, in a line."""
     return _sectors(_read(path, "--polygon", ".kml"))
 
 
@@ -156,10 +157,15 @@ def _read(path: Path, option: str, xml: str = "") -> list[_Area]:
 
 def _areas(name: str, data: bytes, xml: str) -> list[_Area]:
     """The areas of a file's content, by how its name ends."""
-    if data.startswith(ZIP):
-        raise InputError(f"{name}: is a zip archive, as a KMZ is: unpack it, and give the file in it")
+    is_packed = data.startswith(ZIP)
     try:
-        found = _placemarks(data) if xml and name.lower().endswith(xml) else _features(_json(data))
+        if is_packed and not xml:
+            raise InputError("is a zip archive: unpack it, and give the GeoJSON in it")
+        if xml and (is_packed or name.lower().endswith(xml)):
+            documents = kml_documents(data, MOST_UNPACKED)
+            found = [area for document in documents for area in _placemarks(document)]
+        else:
+            found = _features(_json(data))
     except InputError as error:
         raise InputError(f"{name}: {error}") from error
     found = [area for area in found if area[1]]

@@ -55,9 +55,7 @@ def detection(context: Context) -> dict[str, Any]:
     return context.found_map.state()
 
 
-@router.post(
-    "/seen/sectors", summary="Sectors of a file (the body), GeoJSON or KML by its name, in place of earlier ones"
-)
+@router.post("/seen/sectors", summary="Sectors of a file (the body), GeoJSON, KML or KMZ, in place of earlier ones")
 async def sectors(context: Context, request: Request, name: FileName) -> dict[str, int]:
     found = await run_in_threadpool(sectors_of, name, await request.body())
     context.found_map.choose(found)

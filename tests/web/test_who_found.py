@@ -4,6 +4,7 @@ import io
 import json
 import re
 import time
+import zipfile
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
@@ -17,7 +18,7 @@ from contract.errors import InputError
 from contract.geodesy import LocalFrame
 from ground.__main__ import main
 from ground.seen import missions
-from ground.seen.area import outlined_sector, read_sectors, woods_of
+from ground.seen.area import outlined_sector, read_sectors, sectors_of, woods_of
 from ground.seen.export import gaps_kml
 from ground.seen.outline import ring_area
 from ground.web.found_map import FoundMap
@@ -148,6 +149,24 @@ def test_a_outlined_sector_is_one_more_and_those_of_the_page_are_kept_as_a_file(
     assert len(computed(found)["lines"]["machine"]) == 1
     with pytest.raises(InputError, match="no sector 4"):
         found.remove("4")
+
+
+def test_a_kmz_s_sectors_are_those_of_the_kml_in_it(tmp_path: Path) -> None:
+    corners = " ".join(f"{lon},{lat},0" for lon, lat in ring(0.0, 0.0))
+    polygon = (
+        f"<Polygon><outerBoundaryIs><LinearRing><coordinates>{corners}</coordinates></LinearRing></outerBoundaryIs>"
+    )
+    kml = f"<kml><Placemark><name>north</name>{polygon}</Polygon></Placemark></kml>"
+    path = tmp_path / "sectors.kmz"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("doc.kml", kml)
+    for found in (read_sectors(path), sectors_of("from Google Earth.KMZ", path.read_bytes())):
+        assert [sector.name for sector in found] == ["north"]
+        np.testing.assert_allclose(found[0].rings[0], ring(0.0, 0.0)[:-1])
+    with pytest.raises(InputError, match="unpack it"):
+        woods_of("woods.geojson", path.read_bytes())
+    with pytest.raises(InputError, match="not KMZ"):
+        sectors_of("half.kmz", path.read_bytes()[:40])
 
 
 @pytest.mark.parametrize(
