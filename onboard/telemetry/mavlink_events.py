@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -44,6 +44,7 @@ WANTED = {
 
 # A receiver whose own stamp stands still this long has stopped, whatever fix it still claims.
 FROZEN_GPS_NS = 2_000_000_000
+REPEATED_NS = 1_000_000_000  # as seldom as a receiver measures, but for one that stands
 # GPS_RAW_INT stamps are microseconds since boot or since 1970; no autopilot stays up for three years.
 MAX_BOOT_US = 10**14
 UNKNOWN_U16 = 65535
@@ -93,6 +94,8 @@ class MessageToEvent:
         self.sources = sources
         self._latest_boot_ns: int | None = None
         self._newest_boot_ns: dict[str, int] = {}  # of position and attitude
+        self._has_velocity = False  # one other than exactly 0 has come: Betaflight and others send that for unknown
+        self._passed_on: PositionFix | None = None
         self._gps_stamp_us = 0
         self._gps_moved_ns = 0
 
@@ -125,6 +128,8 @@ class MessageToEvent:
             self._newest_boot_ns[name] = boot_ns
             make = _filter_position if name == self.sources.position else _attitude
             event = make(message, to_host_ns(boot_ns))
+            if isinstance(event, PositionFix):
+                event = self._known(event)
         elif name in GIMBAL_EVENTS:
             event = GIMBAL_EVENTS[name](message, to_host_ns(boot_ns))
         elif name in ZOOM_EVENTS:
@@ -132,6 +137,20 @@ class MessageToEvent:
         elif name == "DISTANCE_SENSOR":
             event = _range(message, to_host_ns(boot_ns))
         return [] if event is None else [event]
+
+    def _known(self, fix: PositionFix) -> PositionFix | None:
+        """A filter's position, without a velocity as long as that is exactly 0. A sender without one passes on what its
+        receiver has: a position that comes again within REPEATED_NS is the same measurement, and no event.
+        """
+        self._has_velocity = self._has_velocity or any(fix.velocity_ned_m_s or ())
+        if self._has_velocity:
+            return fix
+        known, last = replace(fix, velocity_ned_m_s=None), self._passed_on
+        is_same = last is not None and replace(last, stamp_ns=known.stamp_ns) == known
+        if last is not None and is_same and 0 <= known.stamp_ns - last.stamp_ns < REPEATED_NS:
+            return None
+        self._passed_on = known
+        return known
 
     def _quality(self, message: Any, now_ns: int, fix: PositionFix | None) -> GpsQuality:
         stamp_us = int(message.time_usec)

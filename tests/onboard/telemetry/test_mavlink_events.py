@@ -67,7 +67,7 @@ def gps_raw(stamp_us: int) -> Any:
 
 
 def global_position(boot_ms: int) -> Any:
-    return mavlink.MAVLink_global_position_int_message(boot_ms, -430000000, 1720000000, 100000, 50000, 0, 0, 0, 0)
+    return mavlink.MAVLink_global_position_int_message(boot_ms, -430000000, 1720000000, 100000, 50000, 500, 0, 0, 0)
 
 
 def attitude(boot_ms: int) -> Any:
@@ -198,3 +198,26 @@ def test_where_it_was_armed_is_stamped_when_it_comes() -> None:
 @pytest.mark.parametrize("message", [home(0, 0), home(lat=910_000_000), home(lon=1_810_000_000)])
 def test_a_home_that_is_nowhere_makes_no_event(message: Any) -> None:
     assert events(message) == []
+
+
+def position(tenths: int, north_cm: int, speed_cm_s: int = 0) -> Any:
+    return mavlink.MAVLink_global_position_int_message(
+        BOOT_MS + 100 * tenths, -433_800_000 + 9 * north_cm // 10, 1_724_000_000, 200_000, 100_000, speed_cm_s, 0, 0, 0
+    )
+
+
+def test_a_velocity_that_is_always_nothing_is_none() -> None:
+    """Betaflight sends zeros: in motion they contradicted every position, and nothing was answered."""
+    moving = [event.velocity_ned_m_s for event in events(*(position(k, 100 * k) for k in range(5)))]
+    assert moving == [None] * 5
+    stops = events(*(position(k, 100 * min(k, 3), 1000 * (k in (1, 2))) for k in range(5)))
+    assert [event.velocity_ned_m_s for event in stops] == [None, *[(10.0, 0.0, 0.0)] * 2, *[(0.0, 0.0, 0.0)] * 2]
+
+
+def test_a_receiver_s_position_that_is_passed_on_several_times_is_one() -> None:
+    """A receiver of 1 Hz whose position comes ten times a second, each time with a new stamp."""
+    passed_on = events(*(position(k, 1500 * (k // 10)) for k in range(30)))
+    assert [event.stamp_ns for event in passed_on] == [STAMP + k * 1_000_000_000 for k in range(3)]
+    standing = events(*(position(k, 0) for k in range(30)))
+    assert len(standing) == 3
+    assert len(events(*(position(k, 0, 500) for k in range(30)))) == 30

@@ -49,7 +49,7 @@ class Simulated:
                 self.receive(mavlink.MAVLink_heartbeat_message(1, self.kind, 0, 0, mavlink.MAV_STATE_ACTIVE, 3))
             self.receive(mavlink.MAVLink_attitude_message(boot_ms, 0.1, 0.0, 0.0, 0.0, 0.0, 0.1))
             if self.has_filter:
-                self.receive(mavlink.MAVLink_global_position_int_message(boot_ms, 4 * 10**8, 10**8, 0, 0, 0, 0, 0, 0))
+                self.receive(mavlink.MAVLink_global_position_int_message(boot_ms, 4 * 10**8, 10**8, 0, 0, 500, 0, 0, 0))
             self.receive(mavlink.MAVLink_gps_raw_int_message(boot_ms * 1000, 3, 4 * 10**8, 10**8, 0, 100, 100, 0, 0, 9))
             for message in self.autopilot.due(self.now_ns):
                 self.sent.append(message)
