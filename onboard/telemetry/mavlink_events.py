@@ -95,7 +95,9 @@ class MessageToEvent:
         self._latest_boot_ns: int | None = None
         self._newest_boot_ns: dict[str, int] = {}  # of position and attitude
         self._has_velocity = False  # one other than exactly 0 has come: Betaflight and others send that for unknown
-        self._passed_on: PositionFix | None = None
+        self._place: tuple[float, ...] | None = None  # the newest position
+        self._moved_ns: int | None = None  # when that came to be another
+        self._passed_on_ns = 0  # when one was passed on without a velocity
         self._gps_stamp_us = 0
         self._gps_moved_ns = 0
 
@@ -139,18 +141,22 @@ class MessageToEvent:
         return [] if event is None else [event]
 
     def _known(self, fix: PositionFix) -> PositionFix | None:
-        """A filter's position, without a velocity as long as that is exactly 0. A sender without one passes on what its
-        receiver has: a position that comes again within REPEATED_NS is the same measurement, and no event.
+        """A filter's position, without a velocity if it moves and that is exactly 0.
+
+        A sender without one passes on what its receiver has: a position that comes again within REPEATED_NS is the same
+        measurement, and no event.
         """
+        place, before, now_ns = (fix.lat_deg, fix.lon_deg, fix.height_amsl_m), self._place, fix.stamp_ns
+        self._place = place
+        if place != before and before is not None:
+            self._moved_ns = now_ns
         self._has_velocity = self._has_velocity or any(fix.velocity_ned_m_s or ())
-        if self._has_velocity:
+        if self._has_velocity or self._moved_ns is None or now_ns - self._moved_ns > 2 * REPEATED_NS:
             return fix
-        known, last = replace(fix, velocity_ned_m_s=None), self._passed_on
-        is_same = last is not None and replace(last, stamp_ns=known.stamp_ns) == known
-        if last is not None and is_same and 0 <= known.stamp_ns - last.stamp_ns < REPEATED_NS:
+        if place == before and 0 <= now_ns - self._passed_on_ns < REPEATED_NS:
             return None
-        self._passed_on = known
-        return known
+        self._passed_on_ns = now_ns
+        return replace(fix, velocity_ned_m_s=None)
 
     def _quality(self, message: Any, now_ns: int, fix: PositionFix | None) -> GpsQuality:
         stamp_us = int(message.time_usec)
